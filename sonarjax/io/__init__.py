@@ -1,0 +1,49 @@
+"""Files in and out as arrays and dicts: ARIS, DIDSON, Oculus, PNG, NPY, NPZ, TOML, JSON Lines. Never pickle.
+
+`read_frames("file.aris:3")` gives `Frame`s: image float32 (range, beam) in [0, 1], near row first, beams in ascending
+azimuth (to port), with mask, geometry [m, deg] and what else the header says. Everything that cannot be used raises
+`SonarjaxError`: one line naming the file, the field and what was expected. This folder knows no other of the package.
+"""
+
+from sonarjax.io.aris import parse_aris
+from sonarjax.io.aris_beams import aris_azimuth_deg
+from sonarjax.io.atomic import write_atomic, write_npz, write_png, write_text
+from sonarjax.io.describe import describe
+from sonarjax.io.didson import DIDSON_TABLES, DidsonTables, didson_azimuth_deg, parse_didson
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.files import read_bytes
+from sonarjax.io.frame import Frame
+from sonarjax.io.images import parse_npy_frame, parse_npz_frame, parse_png_frame
+from sonarjax.io.jsonlines import JsonLines
+from sonarjax.io.load import iter_frames, read_frames, split_spec
+from sonarjax.io.npy import PIXEL_LIMIT
+from sonarjax.io.oculus import parse_oculus
+from sonarjax.io.toml import parse_toml, read_toml
+
+__all__ = [
+    "DIDSON_TABLES",
+    "DidsonTables",
+    "Frame",
+    "JsonLines",
+    "PIXEL_LIMIT",
+    "SonarjaxError",
+    "aris_azimuth_deg",
+    "describe",
+    "didson_azimuth_deg",
+    "iter_frames",
+    "parse_aris",
+    "parse_didson",
+    "parse_npy_frame",
+    "parse_npz_frame",
+    "parse_oculus",
+    "parse_png_frame",
+    "parse_toml",
+    "read_bytes",
+    "read_frames",
+    "read_toml",
+    "split_spec",
+    "write_atomic",
+    "write_npz",
+    "write_png",
+    "write_text",
+]

@@ -1,0 +1,144 @@
+"""ARIS recordings (`.aris`, DDF_05): bytes in, frames out.
+
+Layout checked against a real file of six frames: a 1024-byte file header, then per frame a 1024-byte header and
+SamplesPerBeam x BeamCount bytes stored (range, beam), beam 0 the rightmost. Frames are counted from the file's size,
+never from the header. Offsets, PingMode and SystemType follow Sound Metrics' published ARIS file SDK.
+
+Not verified on a file: the signs of SonarTilt (taken as positive up, so `tilt_deg` is its negative) and of SonarRoll,
+the meaning of FrequencyHiLow, and an aperture of 14 deg without the large lens.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from sonarjax.io.aris_beams import ARIS_1200, ARIS_1800, ARIS_3000, aris_azimuth_deg
+from sonarjax.io.frame import Frame, Geometry
+from sonarjax.io.header import RANGE_LIMIT_M, Header, angles
+from sonarjax.io.naming import frame_numbers, named
+
+SIGNATURE = 0x05464444
+HEADER_BYTES = 1024
+MAX_SAMPLES = 65536
+SYSTEMS = {ARIS_1800: "ARIS 1800", ARIS_3000: "ARIS 3000", ARIS_1200: "ARIS 1200"}
+FREQUENCIES_HZ = {ARIS_1800: (1.1e6, 1.8e6), ARIS_3000: (1.8e6, 3.0e6), ARIS_1200: (0.7e6, 1.2e6)}
+"""SystemType -> frequency at FrequencyHiLow 0 and 1 [Hz]."""
+
+
+@dataclass(frozen=True)
+class ArisLayout:
+    """Size of every frame of a file, and how many are complete."""
+
+    n_ranges: int
+    n_beams: int
+    n_frames: int
+    rest: int
+    """Bytes after the last complete frame."""
+
+    @property
+    def frame_bytes(self) -> int:
+        """Size of one frame with its header [bytes]."""
+        return HEADER_BYTES + self.n_ranges * self.n_beams
+
+
+def beam_count(ping_mode: int) -> int:
+    """Number of beams of a PingMode, 0 for an unknown one."""
+    table = ((1, 2, 48), (3, 5, 96), (6, 8, 64), (9, 12, 128))
+    return next((beams for low, high, beams in table if low <= ping_mode <= high), 0)
+
+
+def aris_layout(data: bytes, name: str) -> ArisLayout:
+    """Read the sizes from the first frame's header.
+
+    Raises SonarjaxError when the signature, PingMode or SamplesPerBeam is wrong or no frame is complete.
+    """
+    _check_signature(Header(data, name), 0)
+    n_ranges, n_beams = _size(_frame_header(data, name, 0, 0))
+    frame_bytes = HEADER_BYTES + n_ranges * n_beams
+    n_frames, rest = divmod(len(data) - HEADER_BYTES, frame_bytes)
+    if n_frames == 0:
+        wanted = HEADER_BYTES + frame_bytes
+        raise Header(data, name, part="frame 0").error(
+            "samples", f"truncated: expected {wanted} bytes or more, the file has {len(data)}"
+        )
+    return ArisLayout(n_ranges, n_beams, n_frames, rest)
+
+
+def parse_aris(data: bytes, name: str, index: int | None = None) -> Iterator[Frame]:
+    """Yield the frames of an ARIS file, or only frame `index`; `image` = stored byte / 255 (0 … 255 is 0 … 80 dB).
+
+    `data` is the file's content and `name` its path, for messages. Raises SonarjaxError for anything that cannot be
+    used: signature, sizes, sound speed, sample period, a frame of another size, an index out of range.
+    """
+    layout = aris_layout(data, name)
+    for number in frame_numbers(name, layout.n_frames, index):
+        yield _read(data, name, layout, number)
+
+
+def _read(data: bytes, name: str, layout: ArisLayout, number: int) -> Frame:
+    header = _frame_header(data, name, number, layout.frame_bytes)
+    _check_signature(header, 12)
+    if _size(header) != (layout.n_ranges, layout.n_beams):
+        raise header.error("SamplesPerBeam, PingMode", f"expected {layout.n_ranges} x {layout.n_beams} as in frame 0")
+    image = header.pixels(HEADER_BYTES, layout.n_ranges, layout.n_beams)
+    return named(image, name, number, layout.n_frames, _geometry(header, layout), _meta(header, layout))
+
+
+def _frame_header(data: bytes, name: str, number: int, frame_bytes: int) -> Header:
+    return Header(data, name, HEADER_BYTES + number * frame_bytes, f"frame {number}")
+
+
+def _check_signature(header: Header, offset: int) -> None:
+    found = header.u32(offset, "signature")
+    if found != SIGNATURE:
+        raise header.error("signature", f"expected 0x{SIGNATURE:08x} (ARIS, DDF_05), got 0x{found:08x}")
+
+
+def _size(header: Header) -> tuple[int, int]:
+    mode = header.u32(436, "PingMode")
+    if not beam_count(mode):
+        raise header.error("PingMode", f"expected 1 to 12, got {mode}")
+    return header.count(header.u32(468, "SamplesPerBeam"), "SamplesPerBeam", MAX_SAMPLES), beam_count(mode)
+
+
+def _geometry(header: Header, layout: ArisLayout) -> Geometry | None:
+    sound_speed = header.quantity(header.f32(464, "SoundSpeed"), "SoundSpeed", 1000.0, 2000.0, "m/s")
+    metres = 1e-6 * sound_speed / 2  # a microsecond of two-way travel
+    start = header.u32(476, "SampleStartDelay") * metres
+    period = header.count(header.u32(452, "SamplePeriod"), "SamplePeriod", 10**6)
+    stop = header.quantity(start + period * layout.n_ranges * metres, "range window", 0.0, RANGE_LIMIT_M, "m")
+    system, lens = header.u32(484, "SystemType"), header.u32(480, "LargeLens") != 0
+    azimuth = aris_azimuth_deg(system, layout.n_beams, lens)
+    if azimuth is None:
+        return None  # the image can still be used with a sonar.toml
+    geometry: Geometry = {
+        "azimuth_deg": azimuth.tolist(),
+        "range_min_m": start,
+        "range_max_m": stop,
+        "n_ranges": layout.n_ranges,
+        "sound_speed_m_s": sound_speed,
+        "frequency_hz": FREQUENCIES_HZ[system][header.u32(440, "FrequencyHiLow") != 0],
+    }
+    if not lens:
+        geometry["elevation_aperture_deg"] = 14.0
+    return geometry | angles(-header.f32(248, "SonarTilt"), header.f32(252, "SonarRoll"))
+
+
+def _meta(header: Header, layout: ArisLayout) -> dict[str, Any]:
+    system = header.u32(484, "SystemType")
+    return {
+        "format": "ARIS (DDF_05)",
+        "stored_scale": "u8, 0 to 255 is 0 to 80 dB",
+        "device": SYSTEMS.get(system, f"unknown SystemType {system}"),
+        "large_lens": header.u32(480, "LargeLens") != 0,
+        "ping_mode": header.u32(436, "PingMode"),
+        "recorded_index": header.u32(0, "FrameIndex"),
+        "time_us": int(header.unpack("Q", 4, "FrameTime")[0]),
+        "header_window_m": [header.f32(52, "WindowStart"), header.f32(56, "WindowLength")],
+        "compass_heading_deg": header.f32(160, "CompassHeading"),
+        "pan_deg": header.f32(244, "SonarPan"),
+        "samples_reordered": header.u32(516, "ReorderedSamples") != 0,
+        "unfinished_bytes": layout.rest,
+    }

@@ -1,0 +1,116 @@
+"""Files out, all or nothing: written aside in the same folder, then renamed, so that no reader sees half a file.
+
+When the disk is full, the folder read-only or the target a folder, the old file stays as it was, nothing is left lying
+about, and the error is a SonarjaxError of one line.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import secrets
+import stat
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from PIL import Image
+
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.files import reason
+
+PathLike = str | os.PathLike[str]
+Writer = Callable[[IO[bytes]], object]
+
+
+def write_atomic(path: PathLike, writer: Writer) -> None:
+    """Let `writer(file)` write a binary file, then move it to `path` in one step.
+
+    Raises SonarjaxError when it cannot be written; what stood at `path` is then unchanged. What else `writer` raises
+    passes through, and leaves nothing behind either. A device such as /dev/null is written to directly.
+    """
+    name = os.fspath(path)
+    if "\0" in name:
+        raise SonarjaxError(f"{name!r}: expected a file name without NUL")
+    try:
+        target = Path(os.path.realpath(name))  # a link keeps pointing to the file that it names
+        if target.is_dir():
+            raise SonarjaxError(f"{name}: expected a file to write, this is a folder")
+        if target.exists() and not stat.S_ISREG(target.stat().st_mode):
+            with open(target, "wb") as file:
+                writer(file)
+        else:
+            _write_aside(target, writer)
+    except OSError as error:
+        raise SonarjaxError(f"{name}: cannot be written: {reason(error)}") from error
+
+
+def _write_aside(target: Path, writer: Writer) -> None:
+    aside = target.with_name(f".sonarjax-{secrets.token_hex(6)}.tmp")
+    try:
+        # Not tempfile: its files are private to the user, ours shall follow the umask or the file that they replace.
+        with open(os.open(aside, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666), "wb") as file:
+            writer(file)
+            file.flush()
+            os.fsync(file.fileno())
+        if target.exists():
+            aside.chmod(stat.S_IMODE(target.stat().st_mode))
+        os.replace(aside, target)
+    except BaseException:  # an interrupt must not leave the file behind either
+        with contextlib.suppress(OSError):
+            aside.unlink(missing_ok=True)
+        raise
+
+
+def write_text(path: PathLike, text: str) -> None:
+    """Write `text` as UTF-8. Raises SonarjaxError when it cannot be written."""
+    write_atomic(path, lambda file: file.write(text.encode("utf-8")))
+
+
+def write_npz(path: PathLike, /, **arrays: np.ndarray) -> None:
+    """Write arrays (any shape) as a compressed NPZ under their names; the same arrays give the same bytes.
+
+    Raises SonarjaxError when it cannot be written or an array would need pickle.
+    """
+    plain = {key: np.asanyarray(value) for key, value in arrays.items()}
+    for key, value in plain.items():
+        if value.dtype.hasobject:
+            raise SonarjaxError(f"{os.fspath(path)}: {key}: expected an array of numbers, got Python objects")
+    write_atomic(path, lambda file: _zip_arrays(file, plain))
+
+
+def _zip_arrays(file: IO[bytes], arrays: dict[str, np.ndarray]) -> None:
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        for key, value in arrays.items():
+            info = zipfile.ZipInfo(f"{key}.npy")  # its fixed date keeps the bytes reproducible
+            info.compress_type = zipfile.ZIP_DEFLATED
+            with archive.open(info, "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, value, allow_pickle=False)
+
+
+def write_png(
+    path: PathLike,
+    image: UInt8[np.ndarray, "row column"]
+    | Float[np.ndarray, "row column"]
+    | UInt8[np.ndarray, "row column 3"]
+    | Float[np.ndarray, "row column 3"],
+) -> None:
+    """Write a grey (row, column) or colour (row, column, 3) picture: uint8 as it is, floats in [0, 1] times 255.
+
+    Raises SonarjaxError for another type, shape or range, and when it cannot be written.
+    """
+    name, values = os.fspath(path), np.asarray(image)
+    if values.size == 0 or not (values.ndim == 2 or (values.ndim == 3 and values.shape[2] == 3)):
+        raise SonarjaxError(f"{name}: picture: expected (row, column) or (row, column, 3), got {values.shape}")
+    if values.dtype.kind == "f":
+        # A millionth outside is rounding of float32 arithmetic; NaN fails both comparisons.
+        if not (values.min() >= -1e-6 and values.max() <= 1.0 + 1e-6):
+            raise SonarjaxError(f"{name}: picture: expected finite floats in [0, 1]")
+        values = np.rint(np.clip(values, 0.0, 1.0) * 255.0).astype(np.uint8)
+    if values.dtype != np.uint8:
+        raise SonarjaxError(f"{name}: picture: expected uint8 or float, got {values.dtype}")
+    picture = Image.fromarray(np.ascontiguousarray(values))
+    write_atomic(path, lambda file: picture.save(file, format="PNG"))

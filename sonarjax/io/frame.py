@@ -1,0 +1,43 @@
+"""`Frame`: one sonar image as arrays and a dict, whatever file it came from.
+
+Every loader of this folder returns frames in the package's convention: axis 0 is the range bin, near to far, axis 1 the
+beam in ascending azimuth (column 0 is the starboard-most beam), values float32 in [0, 1].
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float32
+
+Geometry = dict[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One sonar frame of shape (range, beam)."""
+
+    image: Float32[np.ndarray, "range beam"]
+    """Grey values in [0, 1], shape (range, beam)."""
+    mask: Bool[np.ndarray, "range beam"] | None
+    """True where the pixel was measured, shape (range, beam); None means everywhere."""
+    source: str
+    """The spec that reads this frame again: `path`, or `path:N` in a file of several frames."""
+    stem: str
+    """Stem for names of output files: the file's own, with `_N` in a file of several frames."""
+    geometry: Geometry | None = None
+    """What the file says of the sonar, under the keys of `sonar.toml` ([m], [m/s], [Hz], `_deg`: [deg]).
+
+    A key is absent when the file does not tell it, None stands for no geometry at all. Possible keys: azimuth_deg
+    (ascending list), range_min_m, range_max_m, n_ranges, tilt_deg (positive down), roll_deg, sound_speed_m_s,
+    frequency_hz, elevation_aperture_deg.
+    """
+    meta: dict[str, Any] = field(default_factory=dict)
+    """What else the header says: `format`, `frame_index`, `n_frames`, `stored_scale` and fields of the format."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Shape (range, beam) of the image."""
+        return int(self.image.shape[0]), int(self.image.shape[1])

@@ -1,0 +1,82 @@
+"""`Header`: bounds-checked little-endian fields of a binary file: a short or hostile file gives one clear error."""
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float32
+
+from sonarjax.io.errors import SonarjaxError
+
+
+@dataclass(frozen=True)
+class Header:
+    """A view of `data` from byte `base` on; `name` and `part` (such as "frame 3") open every message."""
+
+    data: bytes
+    name: str
+    base: int = 0
+    part: str = "file header"
+
+    def error(self, field: str, problem: str) -> SonarjaxError:
+        """The error to raise about one field."""
+        return SonarjaxError(f"{self.name}: {self.part}: {field}: {problem}")
+
+    def unpack(self, layout: str, offset: int, field: str) -> tuple:
+        """Fields of the struct `layout` (little-endian) at `offset` [bytes]. Raises SonarjaxError past the end."""
+        start, size = self.base + offset, struct.calcsize("<" + layout)
+        if start + size > len(self.data):
+            raise self.error(field, f"truncated: expected {start + size} bytes or more, the file has {len(self.data)}")
+        return struct.unpack_from("<" + layout, self.data, start)
+
+    def u32(self, offset: int, field: str) -> int:
+        """An unsigned 32-bit integer."""
+        return int(self.unpack("I", offset, field)[0])
+
+    def i32(self, offset: int, field: str) -> int:
+        """A signed 32-bit integer."""
+        return int(self.unpack("i", offset, field)[0])
+
+    def f32(self, offset: int, field: str) -> float:
+        """A 32-bit float, perhaps not finite."""
+        return float(self.unpack("f", offset, field)[0])
+
+    def count(self, value: int, field: str, largest: int) -> int:
+        """`value` if it lies in 1 … `largest`, else SonarjaxError."""
+        if not 1 <= value <= largest:
+            raise self.error(field, f"expected 1 to {largest}, got {value}")
+        return value
+
+    def quantity(self, value: float, field: str, low: float, high: float, unit: str) -> float:
+        """`value` if it is finite and lies in [low, high], else SonarjaxError."""
+        if not (math.isfinite(value) and low <= value <= high):
+            raise self.error(field, f"expected {low:g} to {high:g} {unit}, got {value:g}")
+        return value
+
+    def pixels(self, offset: int, n_ranges: int, n_beams: int, dtype: str = "<u1") -> Float32[np.ndarray, "range beam"]:
+        """Samples stored range by range, as float32 in [0, 1] of the integer type's maximum.
+
+        Raises SonarjaxError, before anything is allocated, when the file ends before the last sample.
+        """
+        stored, start = np.dtype(dtype), self.base + offset
+        end = start + n_ranges * n_beams * stored.itemsize
+        if end > len(self.data):
+            raise self.error(
+                "samples",
+                f"truncated: expected {end} bytes for {n_ranges} x {n_beams} samples, the file has {len(self.data)}",
+            )
+        samples = np.frombuffer(self.data, stored, n_ranges * n_beams, start).reshape(n_ranges, n_beams)
+        return samples.astype(np.float32) / np.float32(np.iinfo(stored).max)
+
+
+RANGE_LIMIT_M = 1000.0
+"""No imaging sonar looks farther; a header that says so is corrupt [m]."""
+
+
+def angles(tilt: float, roll: float) -> dict[str, float]:
+    """`tilt_deg` and `roll_deg` [deg] of a header, a key left out where the device wrote NaN or nonsense."""
+    found = {"tilt_deg": tilt, "roll_deg": roll}
+    return {key: value + 0.0 for key, value in found.items() if math.isfinite(value) and abs(value) <= 360.0}

@@ -1,0 +1,122 @@
+"""Plain images (PNG, NPY, NPZ) as frames, with every check on type, size and values that a frame must pass.
+
+An NPZ holds `image`, perhaps `mask` (true where measured), and perhaps `azimuth_deg` and `range_edges_m`, as
+`sonarjax render` writes them. At most `PIXEL_LIMIT` pixels are unpacked, whatever a header asks for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Bool, Float32
+
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.frame import Frame, Geometry
+from sonarjax.io.naming import frame_numbers, named
+from sonarjax.io.npy import NpzArchive, parse_npy
+from sonarjax.io.png import parse_png
+
+ROUNDING = 1e-6
+"""Floats this far outside [0, 1] are taken as rounding of float32 arithmetic and clipped."""
+
+
+def unit_image(values: np.ndarray, name: str) -> Float32[np.ndarray, "range beam"]:
+    """An image (range, beam) as float32 in [0, 1]: integers divided by their type's maximum, floats as they are.
+
+    Raises SonarjaxError for a shape that is not (range, beam) or empty, a type that is no number, negative integers,
+    and floats that are NaN, infinite or outside [0, 1] (by more than rounding). 64-bit integers are refused: they are a
+    slip of `astype(int)`, and divided by 2^63 the image would be black.
+    """
+    if values.ndim != 2 or values.size == 0:
+        raise SonarjaxError(f"{name}: image: expected a shape (range, beam) that is not empty, got {values.shape}")
+    if values.dtype.kind in "iu":
+        return _unit_integers(values, name)
+    if values.dtype.kind not in "bf":
+        raise SonarjaxError(f"{name}: image: dtype: expected integer or float, got {values.dtype}")
+    if not np.isfinite(values).all():
+        raise SonarjaxError(f"{name}: image: expected finite values, got NaN or infinity")
+    low, high = float(values.min()), float(values.max())
+    if low < -ROUNDING or high > 1.0 + ROUNDING:
+        raise SonarjaxError(f"{name}: image: expected floats in [0, 1], got {low:g} to {high:g}")
+    return np.clip(values.astype(np.float32), 0.0, 1.0)
+
+
+def _unit_integers(values: np.ndarray, name: str) -> Float32[np.ndarray, "range beam"]:
+    if values.dtype.itemsize > 4:
+        raise SonarjaxError(f"{name}: image: dtype: expected 8, 16 or 32 bits or float, got {values.dtype}")
+    if values.min() < 0:
+        raise SonarjaxError(f"{name}: image: expected values from 0 on, got {values.min()}")
+    return values.astype(np.float32) / np.float32(np.iinfo(values.dtype).max)
+
+
+def bool_mask(values: np.ndarray, shape: tuple[int, int], name: str) -> Bool[np.ndarray, "range beam"]:
+    """A mask (range, beam) of booleans, or of numbers that are all 0 or 1.
+
+    Raises SonarjaxError for another shape than the image's, other values, or a mask that is nowhere true.
+    """
+    if values.shape != shape:
+        raise SonarjaxError(f"{name}: mask: expected the image's shape {shape}, got {values.shape}")
+    if values.dtype.kind not in "biuf" or not ((values == 0) | (values == 1)).all():
+        raise SonarjaxError(f"{name}: mask: expected booleans (true where measured), got other {values.dtype} values")
+    if not values.any():
+        raise SonarjaxError(f"{name}: mask: expected at least one measured pixel, it is false everywhere")
+    return np.ascontiguousarray(values != 0)
+
+
+def parse_png_frame(data: bytes, name: str, index: int | None = None) -> Iterator[Frame]:
+    """The one frame of a grey PNG (polar, near row first). Raises SonarjaxError for what cannot be used."""
+    yield _single(parse_png(data, name), name, index, "PNG")
+
+
+def parse_npy_frame(data: bytes, name: str, index: int | None = None) -> Iterator[Frame]:
+    """The one frame of an NPY of shape (range, beam). Raises SonarjaxError for what cannot be used."""
+    yield _single(parse_npy(data, name, "image"), name, index, "NPY")
+
+
+def parse_npz_frame(data: bytes, name: str, index: int | None = None) -> Iterator[Frame]:
+    """The one frame of an NPZ: `image`, `mask` and geometry, if any. Raises SonarjaxError for what cannot be used."""
+    archive = NpzArchive(data, name)
+    values = archive.array("image")
+    mask = archive.array("mask") if "mask" in archive.keys else None
+    yield _single(values, name, index, "NPZ", mask, archive)
+
+
+def _single(
+    values: np.ndarray,
+    name: str,
+    index: int | None,
+    kind: str,
+    mask: np.ndarray | None = None,
+    archive: NpzArchive | None = None,
+) -> Frame:
+    frame_numbers(name, 1, index)
+    image = unit_image(values, name)
+    checked = None if mask is None else bool_mask(mask, image.shape, name)
+    geometry = None if archive is None else _geometry(archive, image.shape)
+    scale = f"{values.dtype}" + (", divided by its maximum" if values.dtype.kind in "iu" else "")
+    return named(image, name, 0, 1, geometry, {"format": kind, "stored_scale": scale}, checked)
+
+
+def _geometry(archive: NpzArchive, shape: tuple[int, int]) -> Geometry | None:
+    """Geometry [m, deg] of an NPZ that `sonarjax render` wrote, None where it has none."""
+    if not {"azimuth_deg", "range_edges_m"} <= set(archive.keys):
+        return None
+    azimuth = _ascending(archive, "azimuth_deg", shape[1])
+    edges = _ascending(archive, "range_edges_m", shape[0] + 1)
+    return {
+        "azimuth_deg": azimuth,
+        "range_min_m": edges[0],
+        "range_max_m": edges[-1],
+        "n_ranges": shape[0],
+    }
+
+
+def _ascending(archive: NpzArchive, key: str, length: int) -> list[float]:
+    values = archive.array(key)
+    if values.shape != (length,):
+        raise SonarjaxError(f"{archive.name}: {key}: expected {length} numbers to fit the image, got {values.shape}")
+    numbers = values.astype(np.float64)
+    if not np.isfinite(numbers).all() or (np.diff(numbers) <= 0).any():
+        raise SonarjaxError(f"{archive.name}: {key}: expected finite numbers in ascending order")
+    return numbers.tolist()

@@ -1,0 +1,98 @@
+"""JSON Lines out: one object a line, appended and flushed, so that a killed batch keeps what it had."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+from collections.abc import Mapping
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.files import reason
+
+
+class JsonLines:
+    """A JSON Lines file open for appending, a context manager.
+
+    A line that a killed run left unfinished is ended first, and a line that could not be written whole is taken back.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        """Open `path`. Raises SonarjaxError when it cannot be opened for writing."""
+        self.name = os.fspath(path)
+        try:
+            self._descriptor = os.open(self.name, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o666)
+        except (OSError, ValueError) as error:
+            raise SonarjaxError(f"{self.name!r}: cannot be opened for writing: {reason(error)}") from error
+        self._open = True
+        if self._unfinished():
+            self._append(b"\n")
+
+    def write(self, record: Mapping[str, Any]) -> None:
+        """Append one object. NumPy values are written as numbers and lists, a float that is not finite as null.
+
+        Raises SonarjaxError when it cannot be written.
+        """
+        self._append(json.dumps(plain(record), allow_nan=False, ensure_ascii=False).encode("utf-8", "replace") + b"\n")
+
+    def close(self) -> None:
+        """Close the file. Raises SonarjaxError when the system reports a late write error."""
+        if not self._open:
+            return
+        self._open = False
+        try:
+            os.close(self._descriptor)
+        except OSError as error:
+            raise SonarjaxError(f"{self.name}: cannot be written: {reason(error)}") from error
+
+    def __enter__(self) -> JsonLines:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _unfinished(self) -> bool:
+        with contextlib.suppress(OSError):  # a pipe has no end to look at
+            end = os.lseek(self._descriptor, 0, os.SEEK_END)
+            os.lseek(self._descriptor, max(0, end - 1), os.SEEK_SET)
+            return end > 0 and os.read(self._descriptor, 1) != b"\n"
+        return False
+
+    def _append(self, line: bytes) -> None:
+        written = 0
+        try:
+            while written < len(line):
+                written += os.write(self._descriptor, line[written:])
+        except OSError as error:
+            if written:
+                with contextlib.suppress(OSError):
+                    os.ftruncate(self._descriptor, os.fstat(self._descriptor).st_size - written)
+            raise SonarjaxError(f"{self.name}: cannot be written: {reason(error)}") from error
+
+
+def plain(value: Any) -> Any:
+    """`value` in JSON's own types: arrays as lists, NumPy scalars as numbers, non-finite floats as None.
+
+    Raises TypeError for what JSON cannot hold.
+    """
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, (str, int, bool)) or value is None:
+        return value
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    array = np.asarray(value)
+    if array.dtype.kind not in "biufU":
+        raise TypeError(f"a record holds {type(value).__name__}, which is not JSON")
+    return plain(array.tolist())

@@ -1,0 +1,158 @@
+"""Raw pings of a Blueprint Oculus (`.raw`, the network packets in a row): bytes in, frames out.
+
+Layout checked against real files of one and of three pings: a 16-byte message header, the fire message, the ping
+result, int16 bearings of 0.01 deg, then the image (range, beam) at `imageOffset`. Messages of another kind are skipped.
+This is not the viewer's `.oculus` log.
+
+Oculus bearings grow to starboard (the maker's viewer draws them at x = sin(bearing), x to the right), so azimuth is
+their negative and the columns are reversed; `bearing_sign=1` reads them as growing to port. Ranges start at 0. Not
+verified on a file: 16-bit images (taken as little-endian), and packets of version 2, which are refused.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float32, Float64
+
+from sonarjax.io.frame import Frame, Geometry
+from sonarjax.io.header import RANGE_LIMIT_M, Header
+from sonarjax.io.naming import frame_numbers, named
+
+MAGIC, SIMPLE_PING = 0x4F53, 0x23
+MESSAGE, FIRE, RESULT = "HHHHHIH", "BBBBBdddd", "IIddddIBdHHIII"
+FIRE_AT = struct.calcsize("<" + MESSAGE)
+RESULT_AT = FIRE_AT + struct.calcsize("<" + FIRE)
+BEARINGS_AT = RESULT_AT + struct.calcsize("<" + RESULT)
+
+
+@dataclass(frozen=True)
+class OculusPing:
+    """The fields of one ping that are used."""
+
+    frequency: float
+    sound_speed: float
+    resolution: float
+    n_ranges: int
+    n_beams: int
+    image_at: int
+    dtype: str
+    ping_id: int
+    start_time: int
+    range_setting: float
+    gain_percent: float
+
+
+def parse_oculus(data: bytes, name: str, index: int | None = None, bearing_sign: int = -1) -> Iterator[Frame]:
+    """Yield the pings of a raw Oculus file, or only ping `index`; `image` = stored value / 255 (or / 65535).
+
+    `data` is the file's content and `name` its path, for messages. Raises SonarjaxError for a wrong message, sizes,
+    bearings or range step, a file without a complete ping, or an index out of range. An unfinished last ping is left
+    out.
+    """
+    starts = oculus_starts(data, name)
+    for number in frame_numbers(name, len(starts), index):
+        header = Header(data, name, starts[number], f"ping {number}")
+        ping = _ping(header)
+        azimuth, image = _columns(header, ping, bearing_sign)
+        yield named(image, name, number, len(starts), _geometry(ping, azimuth), _meta(ping))
+
+
+def oculus_starts(data: bytes, name: str) -> list[int]:
+    """Byte offsets of the complete pings. Raises SonarjaxError for a foreign message or when there is none."""
+    starts: list[int] = []
+    position = 0
+    while position < len(data):
+        header = Header(data, name, position, f"message at byte {position}")
+        if starts and position + FIRE_AT > len(data):
+            break  # cut off while recording
+        magic, _, _, kind, _, payload, _ = header.unpack(MESSAGE, 0, "message header")
+        if magic != MAGIC:
+            raise header.error("id", f"expected 0x{MAGIC:04x} (Oculus), got 0x{magic:04x}")
+        complete = position + FIRE_AT + payload <= len(data)
+        if kind == SIMPLE_PING and complete:
+            starts.append(position)
+        elif not complete and not starts:
+            there = len(data) - position - FIRE_AT
+            raise header.error("payload", f"truncated: expected {payload} bytes, {there} follow")
+        position += FIRE_AT + payload
+    if not starts:
+        raise Header(data, name).error("message", f"expected a ping result (0x{SIMPLE_PING:02x}), found none")
+    return starts
+
+
+def _ping(header: Header) -> OculusPing:
+    version, payload = header.unpack(MESSAGE, 0, "message header")[4:6]
+    if version != 0:
+        raise header.error("version", f"expected 0, got {version}")
+    fire = header.unpack(FIRE, FIRE_AT, "fire message")
+    result = header.unpack(RESULT, RESULT_AT, "ping result")
+    data_size, n_ranges, n_beams, image_at, image_size = result[7], *result[9:13]
+    if data_size not in (0, 1):
+        raise header.error("dataSize", f"expected 0 (8 bits) or 1 (16 bits), got {data_size}")
+    header.count(n_ranges, "nRanges", 65535)
+    header.count(n_beams, "nBeams", 4096)
+    wanted = n_ranges * n_beams * (1 + data_size)
+    if image_size != wanted:
+        raise header.error("imageSize", f"expected {n_ranges} x {n_beams} samples, {wanted} bytes, got {image_size}")
+    if image_at < BEARINGS_AT + 2 * n_beams or image_at + image_size > FIRE_AT + payload:
+        raise header.error("imageOffset", f"expected an image inside the message, got offset {image_at}")
+    resolution = header.quantity(result[8], "rangeResolution", 1e-5, RANGE_LIMIT_M / n_ranges, "m")
+    return OculusPing(
+        frequency=result[2],
+        sound_speed=result[5],
+        resolution=resolution,
+        n_ranges=n_ranges,
+        n_beams=n_beams,
+        image_at=image_at,
+        dtype=("<u1", "<u2")[data_size],
+        ping_id=result[0],
+        start_time=result[6],
+        range_setting=fire[5],
+        gain_percent=fire[6],
+    )
+
+
+def _columns(
+    header: Header, ping: OculusPing, bearing_sign: int
+) -> tuple[Float64[np.ndarray, "beam"], Float32[np.ndarray, "range beam"]]:
+    bearings = header.unpack(f"{ping.n_beams}h", BEARINGS_AT, "bearings")
+    azimuth = bearing_sign * 0.01 * np.asarray(bearings, np.float64)
+    image = header.pixels(ping.image_at, ping.n_ranges, ping.n_beams, ping.dtype)
+    if ping.n_beams > 1 and azimuth[0] > azimuth[-1]:
+        azimuth, image = azimuth[::-1], np.ascontiguousarray(image[:, ::-1])
+    if np.any(np.diff(azimuth) <= 0) or np.abs(azimuth).max() > 180.0:
+        raise header.error("bearings", "expected angles within 180 deg that all grow or all fall")
+    return azimuth, image
+
+
+def _geometry(ping: OculusPing, azimuth: Float64[np.ndarray, "beam"]) -> Geometry:
+    geometry: Geometry = {
+        "azimuth_deg": np.round(azimuth, 2).tolist(),
+        "range_min_m": 0.0,
+        "range_max_m": ping.n_ranges * ping.resolution,
+        "n_ranges": ping.n_ranges,
+    }
+    if math.isfinite(ping.sound_speed) and 1000.0 <= ping.sound_speed <= 2000.0:
+        geometry["sound_speed_m_s"] = ping.sound_speed
+    if math.isfinite(ping.frequency) and 1e4 <= ping.frequency <= 1e8:
+        geometry["frequency_hz"] = ping.frequency
+    return geometry
+
+
+def _meta(ping: OculusPing) -> dict[str, Any]:
+    # Temperature and pressure are garbage in real files: left out.
+    return {
+        "format": "Oculus raw ping",
+        "stored_scale": f"u{8 * np.dtype(ping.dtype).itemsize}, about the square root of amplitude",
+        "device": "Oculus",
+        "ping_id": ping.ping_id,
+        "ping_start_time": ping.start_time,
+        "range_setting": ping.range_setting,
+        "gain_percent": ping.gain_percent,
+    }

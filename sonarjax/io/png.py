@@ -1,0 +1,82 @@
+"""Grey PNG bytes to an array; the header is checked against the pixel limit before a decoder sees the file."""
+
+from __future__ import annotations
+
+import io
+import struct
+
+import numpy as np
+from jaxtyping import UInt
+from PIL import Image
+
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.npy import PIXEL_LIMIT
+
+PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
+CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
+"""PNG colour type -> samples per pixel."""
+DEFLATE_RATIO = 1032
+"""Deflate cannot pack tighter than this: a larger picture than the file could hold is a truncated or hostile one."""
+
+
+def png_size(data: bytes, name: str) -> tuple[int, int]:
+    """Height and width of a PNG [pixels], from its first chunk.
+
+    Raises SonarjaxError for a wrong magic or header, more pixels than `PIXEL_LIMIT`, or more than the file can hold.
+    """
+    if len(data) < 33 or data[:8] != PNG_MAGIC or data[12:16] != b"IHDR":
+        raise SonarjaxError(f"{name}: expected a PNG file with its header")
+    width, height, depth, colour = struct.unpack_from(">IIBB", data, 16)
+    if width == 0 or height == 0:
+        raise SonarjaxError(f"{name}: size: expected at least 1 x 1 pixels, got {height} x {width}")
+    if colour not in CHANNELS or depth not in (1, 2, 4, 8, 16):
+        raise SonarjaxError(f"{name}: header: unknown colour type {colour} with {depth} bits")
+    if width * height > PIXEL_LIMIT:
+        raise SonarjaxError(f"{name}: size: expected at most {PIXEL_LIMIT} pixels, got {height} x {width}")
+    if width * height * depth * CHANNELS[colour] // 8 > DEFLATE_RATIO * len(data):
+        raise SonarjaxError(f"{name}: truncated: {len(data)} bytes cannot hold {height} x {width} pixels")
+    return height, width
+
+
+def _check_complete(data: bytes, name: str) -> None:
+    """Follow the chunks to the end marker: a decoder forgives a file that stops after its last pixel."""
+    at = len(PNG_MAGIC)
+    while at + 12 <= len(data):
+        length, kind = struct.unpack_from(">I4s", data, at)
+        at += 12 + length
+        if kind == b"IEND" and at <= len(data):
+            return
+    raise SonarjaxError(f"{name}: truncated: expected an IEND chunk at the end of the PNG")
+
+
+def parse_png(data: bytes, name: str) -> UInt[np.ndarray, "range beam"]:
+    """Grey values of a PNG as uint8 or uint16, shape (range, beam) as its (row, column).
+
+    A colour picture is accepted when it is grey (equal channels) and opaque. Raises SonarjaxError as `png_size` does,
+    for a picture that is neither, and for anything that the decoder refuses.
+    """
+    height, width = png_size(data, name)
+    _check_complete(data, name)
+    try:
+        with Image.open(io.BytesIO(data), formats=["PNG"]) as picture:
+            if picture.size != (width, height):  # a second header would get round the limit
+                raise ValueError("two headers")
+            values = _decode(picture)
+    except Exception as error:  # a decoder fed with corrupt chunks raises nearly anything
+        text = " ".join(str(error).split())[:120] or type(error).__name__
+        raise SonarjaxError(f"{name}: cannot be decoded as PNG: {text}") from error
+    if values.ndim == 3:
+        grey = values[..., 0]
+        if (values[..., :3] != grey[..., None]).any() or (values[..., 3:] != 255).any():
+            raise SonarjaxError(f"{name}: expected a grey, opaque picture, got colour or transparency")
+        values = np.ascontiguousarray(grey)
+    return values
+
+
+def _decode(picture: Image.Image) -> np.ndarray:
+    """uint8 or uint16 (row, column) for grey pictures, else uint8 (row, column, 4)."""
+    if picture.mode in ("1", "L"):
+        return np.asarray(picture.convert("L"))
+    if picture.mode.startswith("I"):  # 16-bit grey, handed over in a wider type by some decoders
+        return np.asarray(picture).astype(np.uint16)
+    return np.asarray(picture.convert("RGBA"))

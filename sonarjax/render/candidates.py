@@ -1,0 +1,65 @@
+"""Which triangles each slice may see: culling before any visibility test."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+DENSE_LIMIT = 256  # up to this many triangles, every (slice, triangle) pair is tested
+
+
+def front_faces(vertices: Float[Array, "vertex 3"], faces: Int[Array, "face 3"], closed: bool) -> Bool[Array, "face"]:
+    """Triangles (face,) that can be seen from the sonar head: of a closed surface those that look at it, else all.
+
+    Vertices (vertex, 3) [m] are in the sonar frame. Padding (zero-area) triangles are never seen.
+    """
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    facing = (jnp.cross(b - a, c - a) * a).sum(-1)
+    real = (faces[:, 0] != faces[:, 1]) & ((a[:, 0] > 0) | (b[:, 0] > 0) | (c[:, 0] > 0))
+    return real & ((facing < 0) if closed else (jnp.abs(facing) > 0))
+
+
+def candidates(
+    vertices: Float[Array, "vertex 3"],
+    faces: Int[Array, "face 3"],
+    seen: Bool[Array, "face"],
+    azimuth: Float[Array, "slab"],
+    limit: int,
+) -> Int[Array, "slab candidate"]:
+    """Triangle ids (slab, limit) that the half-plane at each `azimuth` [rad] cuts; -1 fills what is left over.
+
+    `limit` is `Mesh.crossings`, an upper bound. Vertices (vertex, 3) [m] are in the sonar frame.
+    """
+    if len(faces) <= DENSE_LIMIT:
+        return _dense(vertices, faces, seen, azimuth, limit)
+    return _sparse(vertices, faces, seen, azimuth, limit)
+
+
+def _dense(vertices: Array, faces: Array, seen: Array, azimuth: Array, limit: int) -> Array:
+    c, s = jnp.cos(azimuth)[:, None], jnp.sin(azimuth)[:, None]
+    port = c * vertices[:, 1] - s * vertices[:, 0] > 0  # (slab, vertex)
+    a, b, c = (port[:, faces[:, k]] for k in range(3))
+    cut = seen & ((a != b) | (b != c))  # (slab, face)
+    rank = jnp.cumsum(cut, axis=1) - 1
+    slot = cut[:, None, :] & (rank[:, None, :] == jnp.arange(limit)[:, None])  # (slab, candidate, face)
+    ids = jnp.arange(1, len(faces) + 1)
+    return (slot * ids).sum(-1) - 1
+
+
+def _sparse(vertices: Array, faces: Array, seen: Array, azimuth: Array, limit: int) -> Array:
+    """Each triangle is cut by a run of neighbouring slices; most small ones by none, and those cost nothing more."""
+    ahead = jnp.searchsorted(azimuth, jnp.arctan2(vertices[:, 1], vertices[:, 0])).astype(jnp.int32)
+    a, b, c = (ahead[faces[:, k]] for k in range(3))
+    first, last = jnp.minimum(jnp.minimum(a, b), c), jnp.maximum(jnp.maximum(a, b), c)
+    count = jnp.where(seen, last - first, 0)
+    pairs = len(azimuth) * limit // 2
+    ends = jnp.cumsum(count)
+    owner = jnp.searchsorted(ends, jnp.arange(pairs), side="right").astype(jnp.int32)
+    owner = jnp.minimum(owner, len(faces) - 1)
+    slab = first[owner] + jnp.arange(pairs, dtype=jnp.int32) - (ends - count)[owner]
+    slab = jnp.where(jnp.arange(pairs) < ends[-1], slab, len(azimuth))
+    slab, owner = jax.lax.sort((slab, owner), num_keys=1)
+    rank = jnp.arange(pairs) - jnp.searchsorted(slab, slab, side="left")
+    table = jnp.full((len(azimuth), limit), -1, jnp.int32)
+    return table.at[slab, rank].set(owner, mode="drop")

@@ -1,0 +1,117 @@
+"""The echo's energy per range bin (eq. 2): first hits of objects and of the floor, spread over the ranges they cover."""
+
+from __future__ import annotations
+
+import math
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from sonarjax.render.profile import Ends, Scene, corners_of, floor_line, piece_range, trace_tau
+from sonarjax.render.segments import plane_line
+from sonarjax.render.slices import GAUSS, Slabs
+from sonarjax.sonar import Sonar
+
+DB_TO_NEPER = math.log(10.0) / 10.0
+
+
+def strength(
+    distance: Float[Array, "*batch"], cosine: Float[Array, "*batch"], sonar: Sonar
+) -> Float[Array, "*batch"]:
+    """Echo of one first hit at `distance` [m] (eq. 2 with I0 = k = 1): rⁿ spreading, two-way absorption, Lambert's law."""
+    spread = distance ** (-jnp.asarray(sonar.spreading_exponent, jnp.float32))
+    absorbed = jnp.exp(-2 * DB_TO_NEPER * sonar.absorption * distance)
+    return spread * absorbed * jnp.maximum(cosine, 1e-6) ** jnp.asarray(sonar.lambert, jnp.float32)
+
+
+def object_energy(
+    ends: tuple[Ends, Ends], slabs: Slabs, scene: Scene, sonar: Sonar, elevations: int, edges: Float[Array, "edge"]
+) -> Float[Array, "slab range"]:
+    """Energy [rad/m²] per range bin of each slab, from the visible pieces' `ends`; `edges` (edge,) [m].
+
+    Each piece is cut into cells, so that a slice has at least `elevations` of them; a cell's energy is spread evenly
+    over the ranges it covers, widened by what its surface moves in range across the slab.
+    """
+    cells = max(1, math.ceil(elevations / ends[0].tau.shape[1]))
+    share = jnp.linspace(0.0, 1.0, cells + 1)
+    total = jnp.zeros((len(slabs.middle), len(edges) - 1))
+    ranges = [_cell_ranges(ends, slabs.middle + sign * GAUSS * slabs.width, scene, share) for sign in (-1.0, 1.0)]
+    moved = jnp.abs(ranges[1][0] - ranges[0][0]) / (8 * GAUSS)
+    for distance, tau, cosine in ranges:
+        near, far = jnp.minimum(distance[..., 1:], distance[..., :-1]), jnp.maximum(distance[..., 1:], distance[..., :-1])
+        half = (moved[..., 1:] + moved[..., :-1]) / 2
+        angle = jnp.diff(jnp.arctan(tau), axis=-1)
+        energy = angle * strength((near + far) / 2, (cosine[..., 1:] + cosine[..., :-1]) / 2, sonar)
+        energy = jnp.where(ends[0].surface[..., None] >= 0, energy, 0.0) / 2
+        total = total + _spread(energy, near - half, far + half, edges)
+    return total
+
+
+def _cell_ranges(
+    ends: tuple[Ends, Ends], azimuth: Float[Array, "slab"], scene: Scene, share: Float[Array, "node"]
+) -> tuple[Array, Array, Array]:
+    """Range [m], elevation tangent and cos(incidence) (slab, piece, node) of the cells' ends at `azimuth` [rad]."""
+    theta = jnp.broadcast_to(azimuth[:, None], ends[0].tau.shape)
+    line = plane_line(corners_of(scene, ends[0].surface), theta)
+    low, high = (trace_tau(end, azimuth, scene, line) for end in ends)
+    tau = low[..., None] + jnp.maximum(high - low, 0.0)[..., None] * share
+    distance = piece_range(jnp.stack(line, -1)[..., None, :], tau)
+    corners = corners_of(scene, ends[0].surface)
+    normal = jnp.cross(corners[..., 1, :] - corners[..., 0, :], corners[..., 2, :] - corners[..., 0, :])
+    normal = normal / jnp.sqrt((normal**2).sum(-1, keepdims=True) + 1e-24)
+    lateral = normal[..., 0] * jnp.cos(theta) + normal[..., 1] * jnp.sin(theta)
+    cosine = jnp.abs(lateral[..., None] + normal[..., 2, None] * tau) / jnp.sqrt(1 + tau * tau)
+    return distance, tau, cosine
+
+
+def _spread(energy: Array, near: Array, far: Array, edges: Float[Array, "edge"]) -> Float[Array, "slab range"]:
+    """Energies (slab, piece, cell) spread evenly over [near, far] [m], as the difference of two ramps at each edge.
+
+    The ramps are scattered at their ends and summed along range: the cost does not grow with the number of bins.
+    """
+    bins, step = len(edges) - 1, edges[1] - edges[0]
+    start, stop = (near - edges[0]) / step, (far - edges[0]) / step
+    length = jnp.maximum(stop - start, 1e-3)
+    density = energy / length
+    slab = jnp.arange(len(energy))[:, None, None]
+    changes = jnp.zeros((len(energy), bins + 2))
+    for end, sign in ((start, 1.0), (start + length, -1.0)):
+        inside = jnp.clip(end, 0.0, bins + 0.0)
+        index = jnp.minimum(inside.astype(jnp.int32), bins - 1)
+        part = inside - index
+        # A ramp that starts at index + part: its mean slope is 1 - part over this bin and 1 over all later ones.
+        changes = changes.at[slab, index].add(sign * density * (1 - part))
+        changes = changes.at[slab, index + 1].add(sign * density * part)
+    return jnp.cumsum(changes, axis=1)[:, :bins]
+
+
+def floor_energy(
+    azimuth: Float[Array, "beam"], scene: Scene, sonar: Sonar, edges: Float[Array, "edge"]
+) -> Float[Array, "range beam"]:
+    """Energy [rad/m²] of the bare floor per bin: the elevations that see it between two range `edges` (edge,) [m].
+
+    Exact in elevation: on a line at distance d from the head, elevation differs from the perpendicular's by acos(d/r).
+    """
+    a, b = floor_line(azimuth, scene.view)
+    distance = 1 / jnp.sqrt(a * a + b * b)
+    low, high = _floor_span(a, b, scene)
+    bounds = jnp.clip(edges[:, None], low, high)
+    ratio = jnp.clip(distance / bounds, 0.0, 1.0 - 1e-7)
+    angle = jnp.diff(jnp.arccos(ratio), axis=0)
+    middle = jnp.maximum((bounds[1:] + bounds[:-1]) / 2, 1e-3)
+    return jnp.maximum(angle, 0.0) * strength(middle, jnp.minimum(distance / middle, 1.0), sonar)
+
+
+def _floor_span(a: Array, b: Array, scene: Scene) -> tuple[Array, Array]:
+    """Nearest and farthest floor range [m] inside the aperture; the farthest is very far where the horizon is in view."""
+    return tuple(
+        piece_range(jnp.stack(jnp.broadcast_arrays(a, b), -1), jnp.broadcast_to(tau, a.shape))
+        for tau in (scene.view.tau_min, scene.view.tau_max)
+    )
+
+
+def floor_lit(azimuth: Float[Array, "beam"], scene: Scene, edges: Float[Array, "edge"]) -> Array:
+    """Pixels (range, beam) whose middle sees the floor inside the aperture; range `edges` (edge,) [m]."""
+    low, high = _floor_span(*floor_line(azimuth, scene.view), scene)
+    middle = ((edges[1:] + edges[:-1]) / 2)[:, None]
+    return (middle >= low) & (middle <= high)

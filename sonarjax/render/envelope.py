@@ -1,0 +1,157 @@
+"""Exact visibility in one slice: the upper envelope of line segments, as an ordered list of visible pieces.
+
+Nothing here carries a gradient. Each end of a piece is recorded as what makes it (a mesh edge, a crossing of two
+planes, the aperture, the floor), and `profile.py` finds it again from the vertices, differentiably.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from sonarjax.render.segments import CROSSING, FIXED, Segments
+
+INSET = 0.02  # winners are asked this share of an interval inside its ends, where neighbours that touch do not tie
+EXACT_LIMIT = 32  # above this many candidates a slice is sampled in elevation instead
+
+
+class Pieces(NamedTuple):
+    """Stretches of elevation with one nearest triangle each, in ascending elevation; `-1` where nothing is hit."""
+
+    winner: Int[Array, "slab piece"]
+    """Candidate that is nearest, or -1."""
+    tau: Float[Array, "slab piece 2"]
+    """Elevation tangents of both ends."""
+    kind: Int[Array, "slab piece 2"]
+    """What makes each end: a kind of segments.py, CROSSING (with the candidate `source`) or FIXED."""
+    source: Int[Array, "slab piece 2"]
+    """Candidate whose segment ends there, or which crosses there."""
+    side: Int[Array, "slab piece 2"]
+    """Which end (0 lower, 1 upper) of the source's segment it is."""
+
+
+def visible_pieces(segments: Segments, elevations: int) -> Pieces:
+    """Visible pieces of each slice from its candidates' segments (slab, candidate).
+
+    Exact for up to EXACT_LIMIT candidates a slice (then `elevations` plays no part); else the nearest triangle is
+    sampled at `elevations` directions that span the slice's object.
+    """
+    if segments.hit.shape[1] <= EXACT_LIMIT:
+        return _exact(segments)
+    return _sampled(segments, elevations)
+
+
+def _nearest(segments: Segments, tau: Float[Array, "slab point"]) -> Int[Array, "slab point"]:
+    """The candidate with the largest 1/range at each elevation tangent, -1 where there is none (unrolled: it fuses)."""
+    best = jnp.full(tau.shape, 0.0)
+    winner = jnp.full(tau.shape, -1)
+    for k in range(segments.hit.shape[1]):
+        low, high = segments.tau[:, k, 0, None], segments.tau[:, k, 1, None]
+        s = segments.line[:, k, 0, None] + segments.line[:, k, 1, None] * tau
+        wins = segments.hit[:, k, None] & (tau >= low) & (tau <= high) & (s > best)
+        best, winner = jnp.where(wins, s, best), jnp.where(wins, k, winner)
+    return winner
+
+
+def _nearest_of_many(segments: Segments, tau: Float[Array, "slab point"]) -> Int[Array, "slab point"]:
+    """As `_nearest`, by one integer maximum: the candidate's number replaces the lowest bits of 1/range.
+
+    Those bits are worth 1/2¹³ of the range at 1,024 candidates, below any sonar's resolution.
+    """
+    count = segments.hit.shape[1]
+    bits = (count - 1).bit_length()
+    low, high = segments.tau[..., 0], segments.tau[..., 1]
+    t = tau[:, :, None]
+    s = segments.line[:, None, :, 0] + segments.line[:, None, :, 1] * t
+    active = segments.hit[:, None] & (t >= low[:, None]) & (t <= high[:, None]) & (s > 0)
+    as_int = jnp.asarray(jnp.maximum(s, 0.0), jnp.float32).view(jnp.int32)
+    key = jnp.where(active, ((as_int >> bits) << bits) | jnp.arange(count), -1).max(axis=-1)
+    return jnp.where(key < 0, -1, key & ((1 << bits) - 1))
+
+
+def _exact(segments: Segments) -> Pieces:
+    slabs, count = segments.hit.shape
+    ends = jnp.where(segments.hit[..., None], segments.tau, jnp.inf).reshape(slabs, 2 * count)
+    order = jnp.argsort(ends, axis=1)
+    bound = jnp.take_along_axis(ends, order, axis=1)  # (slab, 2 count), ascending, inf at the end
+    low = jnp.where(jnp.isfinite(bound[:, :-1]), bound[:, :-1], 0.0)
+    high = jnp.where(jnp.isfinite(bound[:, 1:]), bound[:, 1:], low)
+    inset = INSET * (high - low)
+    asked = jnp.concatenate([low + inset, high - inset], axis=1)
+    lower, upper = jnp.split(_nearest(segments, asked), 2, axis=1)  # winners just inside both ends
+    crossing = _crossing_tau(segments, lower, upper, low, high)
+    kinds = jnp.take_along_axis(segments.kind.reshape(slabs, -1), order, axis=1)
+    source, side = order // 2, order % 2
+    meets = lower != upper  # two surfaces pass through each other here; else the second half is empty
+    after = (kinds[:, 1:], source[:, 1:], side[:, 1:])
+    cross_kind = jnp.where(meets, CROSSING, after[0])
+    cross_side = jnp.where(meets, 0, after[2])
+
+    def interleave(first: tuple[Array, Array], second: tuple[Array, Array]) -> Array:
+        halves = jnp.stack([jnp.stack(first, axis=-1), jnp.stack(second, axis=-1)], axis=2)
+        return halves.reshape(slabs, -1, 2)
+
+    return Pieces(
+        winner=jnp.stack([lower, upper], axis=2).reshape(slabs, -1),
+        tau=interleave((low, crossing), (crossing, high)),
+        kind=interleave((kinds[:, :-1], cross_kind), (cross_kind, after[0])),
+        source=interleave((source[:, :-1], jnp.where(meets, upper, after[1])), (lower, after[1])),
+        side=interleave((side[:, :-1], cross_side), (cross_side, after[2])),
+    )
+
+
+def _crossing_tau(segments: Segments, i: Array, j: Array, low: Array, high: Array) -> Array:
+    """Where the lines of candidates i and j meet, kept inside [low, high]; `high` where i is j."""
+    a_i, b_i = (jnp.take_along_axis(segments.line[..., k], jnp.maximum(i, 0), axis=1) for k in (0, 1))
+    a_j, b_j = (jnp.take_along_axis(segments.line[..., k], jnp.maximum(j, 0), axis=1) for k in (0, 1))
+    differs = (i != j) & (jnp.abs(b_i - b_j) > 1e-9)
+    tau = (a_j - a_i) / jnp.where(differs, b_i - b_j, 1.0)
+    return jnp.where(differs, jnp.clip(tau, low, high), high)
+
+
+def _sampled(segments: Segments, elevations: int) -> Pieces:
+    low = jnp.where(segments.hit, segments.tau[..., 0], jnp.inf).min(axis=1)[:, None]
+    high = jnp.where(segments.hit, segments.tau[..., 1], -jnp.inf).max(axis=1)[:, None]
+    any_hit = jnp.isfinite(low)
+    low, high = jnp.where(any_hit, low, 0.0), jnp.where(any_hit, high, 0.0)
+    node = low + (high - low) * (jnp.arange(elevations) + 0.5) / elevations  # (slab, elevation)
+    winner = _nearest_of_many(segments, node)
+    tau, kind, source, side = _boundaries(segments, node, winner)
+    first, last = winner[:, :1], winner[:, -1:]
+    zero = jnp.zeros_like(first)
+    taus = jnp.concatenate([_end(segments, first, 0), tau, _end(segments, last, 1)], axis=1)
+    kinds = jnp.concatenate([_take(segments.kind[..., 0], first), kind, _take(segments.kind[..., 1], last)], axis=1)
+    sources = jnp.concatenate([first, source, last], axis=1)
+    sides = jnp.concatenate([zero, side, zero + 1], axis=1)
+    # The piece below a boundary ends at its lower source and the piece above starts at the same: one boundary, two ends.
+    both = (jnp.stack([v[:, :-1], v[:, 1:]], axis=-1) for v in (taus, kinds, sources, sides))
+    tau2, kind2, source2, side2 = both
+    return Pieces(winner, tau2, kind2, source2, side2)
+
+
+def _take(values: Array, index: Array) -> Array:
+    return jnp.take_along_axis(values, jnp.maximum(index, 0), axis=1)
+
+
+def _end(segments: Segments, index: Array, side: int) -> Array:
+    return jnp.where(index >= 0, _take(segments.tau[..., side], index), 0.0)
+
+
+def _boundaries(segments: Segments, node: Array, winner: Array) -> tuple[Array, Array, Array, Array]:
+    """Where one winner hands over to the next, between neighbouring nodes: at the end of the one in front."""
+    i, j = winner[:, :-1], winner[:, 1:]
+    below, above = node[:, :-1], node[:, 1:]
+    i_end, j_start = _end(segments, i, 1), _end(segments, j, 0)
+    s_i = _take(segments.line[..., 0], i) + _take(segments.line[..., 1], i) * below
+    s_j = _take(segments.line[..., 0], j) + _take(segments.line[..., 1], j) * above
+    i_ends, j_starts = (i >= 0) & (i_end < above), (j >= 0) & (j_start > below)
+    use_i = i_ends & (~j_starts | (s_i >= s_j))
+    use_j = j_starts & ~use_i
+    middle = (below + above) / 2
+    tau = jnp.where(use_i, i_end, jnp.where(use_j, j_start, middle))
+    source = jnp.where(use_i, i, j)
+    kind = jnp.where(use_i, _take(segments.kind[..., 1], i), _take(segments.kind[..., 0], j))
+    kind = jnp.where(use_i | use_j, kind, FIXED)
+    return jnp.clip(tau, below, above), kind, source, use_i.astype(jnp.int32)

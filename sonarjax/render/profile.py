@@ -1,0 +1,242 @@
+"""From the visible pieces of a slice to the ends of its highlights and shadows, and their ranges as differentiable numbers.
+
+A *run* is a chain of visible pieces without a gap in range: its echo covers every range between its nearest and its
+farthest point. A *stretch* is a chain of pieces without a gap in elevation: it hides every floor point between its ends.
+The chains are found without a gradient; `trace_range` and `trace_floor` then follow their ends through the vertices.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from sonarjax.render.envelope import Pieces
+from sonarjax.render.segments import CROSSING, EDGE, FLOOR, TAU_MAX, TAU_MIN, Segments, View, edge_point, plane_line
+
+EMPTY_TAU = 1e-7  # a piece narrower than this is nothing
+GAP = 1e-4  # relative step in range that ends a run: ten times float32's error, far below any sonar's resolution
+
+
+class Ends(NamedTuple):
+    """Ends of runs or stretches (slab, item), as what makes them."""
+
+    surface: Int[Array, "slab item"]
+    """Triangle whose plane gives the range, -1 for no item."""
+    source: Int[Array, "slab item"]
+    """Triangle whose segment ends, or crosses, here."""
+    kind: Int[Array, "slab item"]
+    """What makes the end: see segments.py."""
+    edge: Int[Array, "slab item"]
+    """Edge of the source triangle, where kind is EDGE."""
+    tau: Float[Array, "slab item"]
+    """Elevation tangent in the middle of the slab."""
+    foot: Bool[Array, "slab item"]
+    """True where the nearest point is the foot of the perpendicular, not an end."""
+
+
+class Outline(NamedTuple):
+    """All that a slab shows: runs' nearest and farthest points, stretches' lower and upper ends."""
+
+    near: Ends
+    far: Ends
+    lower: Ends
+    upper: Ends
+
+
+def max_items(crossings: int) -> int:
+    """How many runs and stretches a slice keeps; further ones are joined to the last."""
+    return max(2, min(crossings // 2, 8 if crossings <= 32 else 12))
+
+
+def piece_range(line: Float[Array, "*batch 2"], tau: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+    """Slant range [m] at elevation tangent `tau` on the line (a, b) [1/m] (eq. 1 in slice coordinates)."""
+    s = line[..., 0] + line[..., 1] * tau
+    return jnp.sqrt(1 + tau * tau) / jnp.maximum(s, 1e-4)
+
+
+def find_outline(
+    pieces: Pieces, segments: Segments, table: Int[Array, "slab candidate"], lit: Bool[Array, "slab piece"], items: int
+) -> Outline:
+    """Chains of visible pieces; `table` holds the candidates' triangle ids, `lit` the pieces that give highlight."""
+    real = pieces.tau[..., 1] - pieces.tau[..., 0] > EMPTY_TAU
+    solid = real & (pieces.winner >= 0)
+    line = _of_candidate(segments.line, pieces.winner)
+    start, end = (piece_range(line, pieces.tau[..., k]) for k in (0, 1))
+    before = _previous(real)
+    end_before = jnp.take_along_axis(end, jnp.maximum(before, 0), axis=1)
+    touching = (before >= 0) & jnp.take_along_axis(solid, jnp.maximum(before, 0), axis=1)
+    same_range = jnp.abs(end_before - start) < GAP * start
+    lit_before = jnp.take_along_axis(lit, jnp.maximum(before, 0), axis=1)
+    shown = solid & lit
+    run = _chain(shown, shown & ~(touching & same_range & lit_before), items)
+    stretch = _chain(solid, solid & ~touching, items)
+    foot_tau = line[..., 1] / jnp.maximum(line[..., 0], 1e-9)
+    foot = (foot_tau > pieces.tau[..., 0]) & (foot_tau < pieces.tau[..., 1])
+    foot_range = jnp.where(foot, jax.lax.rsqrt((line**2).sum(-1) + 1e-12), jnp.inf)
+    nearest = jnp.minimum(jnp.minimum(start, end), foot_range)
+    number = jnp.arange(real.shape[1])
+    near, far = _extreme(nearest, run, -1), _extreme(jnp.maximum(start, end), run, 1)
+    lower = jnp.where(stretch, number[:, None], len(number)).min(axis=1)
+    upper = jnp.where(stretch, number[:, None], -1).max(axis=1)
+
+    def ends(piece: Array, upper_end: Array, any_item: Array, foot: Array) -> Ends:
+        piece = jnp.clip(piece, 0, len(number) - 1)
+        return _ends(pieces, segments, table, piece, upper_end, any_item, foot)
+
+    def pick(values: Array, piece: Array) -> Array:
+        return jnp.take_along_axis(values, jnp.clip(piece, 0, len(number) - 1), axis=1)
+
+    has_run, has_stretch = run.any(axis=1), stretch.any(axis=1)
+    no_foot = jnp.zeros(has_run.shape, bool)
+    near_foot = pick(foot_range < jnp.minimum(start, end), near)
+    return Outline(
+        near=ends(near, pick(end < start, near), has_run, near_foot),
+        far=ends(far, pick(end > start, far), has_run, no_foot),
+        lower=ends(lower, no_foot, has_stretch, no_foot),
+        upper=ends(upper, ~no_foot, has_stretch, no_foot),
+    )
+
+
+def _of_candidate(values: Float[Array, "slab candidate 2"], index: Int[Array, "slab piece"]) -> Array:
+    return jnp.take_along_axis(values, jnp.maximum(index, 0)[..., None], axis=1)
+
+
+def _previous(real: Bool[Array, "slab piece"]) -> Int[Array, "slab piece"]:
+    """Number of the last real piece before each piece, -1 for none."""
+    last = jax.lax.cummax(jnp.where(real, jnp.arange(real.shape[1]), -1), axis=1)
+    return jnp.concatenate([jnp.full((len(real), 1), -1), last[:, :-1]], axis=1)
+
+
+def _chain(member: Bool[Array, "slab piece"], starts: Bool[Array, "slab piece"], items: int) -> Array:
+    """Membership (slab, piece, item) of pieces in chains, numbered from the lowest elevation."""
+    number = jnp.minimum(jnp.cumsum(starts, axis=1) - 1, items - 1)
+    return member[..., None] & (number[..., None] == jnp.arange(items))
+
+
+def _extreme(value: Float[Array, "slab piece"], chain: Bool[Array, "slab piece item"], sign: int) -> Array:
+    """Piece (slab, item) with the least (sign -1) or largest (sign 1) value in its chain.
+
+    One integer reduction: positive floats sort like their bits, whose lowest ones make room for the piece's number.
+    """
+    bits = (value.shape[1] - 1).bit_length()
+    key = ((value.astype(jnp.float32).view(jnp.int32) >> bits) << bits) | jnp.arange(value.shape[1])
+    if sign > 0:
+        best = jnp.where(chain, key[..., None], 0).max(axis=1)
+    else:
+        best = jnp.where(chain, key[..., None], jnp.iinfo(jnp.int32).max).min(axis=1)
+    return best & ((1 << bits) - 1)
+
+
+def _ends(
+    pieces: Pieces, segments: Segments, table: Array, piece: Array, upper_end: Array, any_item: Array, foot: Array
+) -> Ends:
+    def at(values: Array) -> Array:
+        low, high = (jnp.take_along_axis(values[..., k], piece, axis=1) for k in (0, 1))
+        return jnp.where(upper_end, high, low)
+
+    winner = jnp.take_along_axis(pieces.winner, piece, axis=1)
+    source = jnp.maximum(at(pieces.source), 0)
+    edges = _of_candidate(segments.edge, source)
+    edge = jnp.where(at(pieces.side) == 1, edges[..., 1], edges[..., 0])
+    surface = jnp.where(any_item, jnp.take_along_axis(table, jnp.maximum(winner, 0), axis=1), -1)
+    return Ends(surface, jnp.take_along_axis(table, source, axis=1), at(pieces.kind), edge, at(pieces.tau), foot)
+
+
+def all_ends(pieces: Pieces, segments: Segments, table: Int[Array, "slab candidate"]) -> tuple[Ends, Ends]:
+    """The lower and upper ends (slab, piece) of every visible piece, for the energy integral."""
+    piece = jnp.broadcast_to(jnp.arange(pieces.winner.shape[1]), pieces.winner.shape)
+    upper = jnp.ones(piece.shape, bool)
+    solid = (pieces.winner >= 0) & (pieces.tau[..., 1] - pieces.tau[..., 0] > EMPTY_TAU)
+    return (
+        _ends(pieces, segments, table, piece, ~upper, solid, ~upper),
+        _ends(pieces, segments, table, piece, upper, solid, ~upper),
+    )
+
+
+class Scene(NamedTuple):
+    """The surface in the sonar frame and what bounds the view: all that the ranges are differentiated through."""
+
+    vertices: Float[Array, "vertex 3"]
+    """Vertices [m]."""
+    faces: Int[Array, "face 3"]
+    """Triangles."""
+    view: View
+    """Aperture and floor."""
+
+
+def corners_of(scene: Scene, triangle: Int[Array, "*batch"]) -> Float[Array, "*batch 3 3"]:
+    """Corners (..., corner, xyz) [m] of triangles by id (-1 is read as 0)."""
+    return scene.vertices[scene.faces[jnp.maximum(triangle, 0)]]
+
+
+def floor_line(azimuth: Float[Array, "*batch"], view: View) -> tuple[Array, Array]:
+    """(a, b) [1/m] of the floor as a line s = a + b·tau; s ≤ 0 at and above the horizon."""
+    a = -(view.up[0] * jnp.cos(azimuth) + view.up[1] * jnp.sin(azimuth)) / view.height
+    return a, jnp.broadcast_to(-view.up[2] / view.height, a.shape)
+
+
+def trace_tau(
+    ends: Ends, azimuth: Float[Array, "slab"], scene: Scene, surface: tuple[Array, Array]
+) -> Float[Array, "slab item"]:
+    """Elevation tangent of each end at another `azimuth` [rad] of its slab; `surface` is the line (a, b) there."""
+    theta = jnp.broadcast_to(azimuth[:, None], ends.tau.shape)
+    corners = corners_of(scene, ends.source)
+    first = _corner(corners, ends.edge)
+    second = _corner(corners, (ends.edge + 1) % 3)
+    rho, z = edge_point(first, second, theta)
+    a, b = plane_line(corners, theta)
+    floor_a, floor_b = floor_line(theta, scene.view)
+    at_floor = ends.kind == FLOOR
+    other_a, other_b = jnp.where(at_floor, floor_a, surface[0]), jnp.where(at_floor, floor_b, surface[1])
+    slope = b - other_b
+    meets = (at_floor | (ends.kind == CROSSING)) & (jnp.abs(slope) > 1e-6)
+    crossing = (other_a - a) / jnp.where(meets, slope, 1.0)
+    # A crossing that runs away inside its own slab is an extrapolation gone wrong: the middle is better.
+    meets = meets & (jnp.abs(jax.lax.stop_gradient(crossing) - ends.tau) < 0.1)
+    view = scene.view
+    tau = jnp.where(ends.kind == EDGE, z / jnp.maximum(rho, 1e-3), ends.tau)
+    tau = jnp.where(ends.kind == TAU_MIN, view.tau_min, jnp.where(ends.kind == TAU_MAX, view.tau_max, tau))
+    return jnp.where(meets, crossing, tau)
+
+
+def _corner(corners: Float[Array, "*batch 3 3"], index: Int[Array, "*batch"]) -> Float[Array, "*batch 3"]:
+    i = index[..., None]
+    return jnp.where(i == 0, corners[..., 0, :], jnp.where(i == 1, corners[..., 1, :], corners[..., 2, :]))
+
+
+def trace_range(ends: Ends, azimuth: Float[Array, "slab"], scene: Scene) -> Float[Array, "slab item"]:
+    """Slant range [m] of each end on its surface at `azimuth` [rad]."""
+    theta = jnp.broadcast_to(azimuth[:, None], ends.tau.shape)
+    line = plane_line(corners_of(scene, ends.surface), theta)
+    tau = trace_tau(ends, azimuth, scene, line)
+    foot = jax.lax.rsqrt(line[0] ** 2 + line[1] ** 2 + 1e-12)
+    return jnp.where(ends.foot, foot, piece_range(jnp.stack(line, -1), tau))
+
+
+def trace_floor(ends: Ends, azimuth: Float[Array, "slab"], scene: Scene) -> Float[Array, "slab item"]:
+    """Slant range [m] of the floor point behind each end at `azimuth` [rad]; very far at and above the horizon."""
+    theta = jnp.broadcast_to(azimuth[:, None], ends.tau.shape)
+    line = plane_line(corners_of(scene, ends.surface), theta)
+    tau = trace_tau(ends, azimuth, scene, line)
+    return piece_range(jnp.stack(floor_line(theta, scene.view), -1), tau)
+
+
+def incidence_cosine(
+    pieces: Pieces, segments: Segments, corners: Float[Array, "slab candidate 3 3"], azimuth: Float[Array, "slab"]
+) -> Float[Array, "slab piece"]:
+    """Cosine of the angle between the ray to the middle of each piece and its facet's normal."""
+    normal = jnp.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0])
+    normal = normal / (jnp.sqrt((normal**2).sum(-1, keepdims=True)) + 1e-20)
+    n = jnp.take_along_axis(normal, jnp.maximum(pieces.winner, 0)[..., None], axis=1)
+    tau = pieces.tau.mean(-1)
+    along = n[..., 0] * jnp.cos(azimuth)[:, None] + n[..., 1] * jnp.sin(azimuth)[:, None] + n[..., 2] * tau
+    return jnp.abs(along) / jnp.sqrt(1 + tau * tau)
+
+
+def lit_pieces(cosine: Float[Array, "slab piece"], max_incidence_deg: float) -> Bool[Array, "slab piece"]:
+    """Pieces that give highlight: struck no more obliquely than `max_incidence_deg` [deg] from their normal."""
+    return cosine >= math.cos(math.radians(max_incidence_deg))

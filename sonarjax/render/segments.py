@@ -1,0 +1,120 @@
+"""Cutting triangles with a half-plane of constant azimuth: each gives a segment in the (elevation tangent, 1/range) plane.
+
+With tau = tan(elevation) and s = 1 / planar range, a plane of eq. 1 is the straight line s = G · (cos θ, sin θ, tau), so
+the nearest surface of a slice is the upper envelope of segments of straight lines.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+NEAR_M = 1e-2  # surfaces nearer to the sonar head than this are cut off
+
+# How the end of a visible piece is found again when it is differentiated.
+EDGE, TAU_MIN, TAU_MAX, FLOOR, NEAR, CROSSING, FIXED = range(7)
+
+
+class View(NamedTuple):
+    """What bounds a slice besides the mesh."""
+
+    tau_min: Float[Array, ""]
+    """Tangent of the lowest insonified elevation."""
+    tau_max: Float[Array, ""]
+    """Tangent of the highest insonified elevation."""
+    up: Float[Array, "3"]
+    """The ground's vertical in the sonar frame."""
+    height: Float[Array, ""]
+    """Height of the sonar above the floor [m]."""
+
+
+class Segments(NamedTuple):
+    """Segments of one slice's candidates; `lo` and `hi` are its ends in tau, ascending."""
+
+    tau: Float[Array, "*batch 2"]
+    """Elevation tangents of the lower and the upper end."""
+    line: Float[Array, "*batch 2"]
+    """(a, b) of s = a + b·tau [1/m]."""
+    kind: Int[Array, "*batch 2"]
+    """What ends the segment: EDGE, TAU_MIN, TAU_MAX, FLOOR or NEAR."""
+    edge: Int[Array, "*batch 2"]
+    """Which of the triangle's edges (0: corners 0–1, 1: 1–2, 2: 2–0) carries the end, where kind is EDGE."""
+    hit: Bool[Array, "*batch"]
+    """False where the triangle does not reach into the slice's view."""
+
+
+def plane_line(
+    corners: Float[Array, "*batch 3 3"], azimuth: Float[Array, "*batch"]
+) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+    """(a, b) [1/m] of the planes through triangles (..., corner, xyz) [m] as lines s = a + b·tau at `azimuth` [rad]."""
+    first = corners[..., 0, :]
+    normal = jnp.cross(corners[..., 1, :] - first, corners[..., 2, :] - first)
+    offset = (normal * first).sum(-1)
+    # A plane through the sonar head is seen edge-on and has no line; its sign is kept so that nothing jumps.
+    floor = 1e-7 * jnp.sqrt((normal * normal).sum(-1) + 1e-24)
+    safe = jnp.where(jnp.abs(offset) > floor, offset, jnp.where(offset < 0, -floor, floor))
+    gradient = normal / safe[..., None]
+    a = gradient[..., 0] * jnp.cos(azimuth) + gradient[..., 1] * jnp.sin(azimuth)
+    return a, gradient[..., 2]
+
+
+def edge_point(
+    start: Float[Array, "*batch 3"], end: Float[Array, "*batch 3"], azimuth: Float[Array, "*batch"]
+) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+    """Planar range and height (rho, z) [m] at which the edge from `start` to `end` [m] passes through `azimuth` [rad]."""
+    c, s = jnp.cos(azimuth), jnp.sin(azimuth)
+    u0, u1 = c * start[..., 1] - s * start[..., 0], c * end[..., 1] - s * end[..., 0]
+    step = u0 - u1
+    safe = jnp.abs(step) > 1e-9
+    share = jnp.clip(jnp.where(safe, u0 / jnp.where(safe, step, 1.0), 0.5), 0.0, 1.0)
+    rho0, rho1 = c * start[..., 0] + s * start[..., 1], c * end[..., 0] + s * end[..., 1]
+    return rho0 + share * (rho1 - rho0), start[..., 2] + share * (end[..., 2] - start[..., 2])
+
+
+def cut(corners: Float[Array, "*batch 3 3"], azimuth: Float[Array, "*batch"], view: View) -> Segments:
+    """Segments of triangles (..., corner, xyz) [m] at `azimuth` [rad], clipped to the aperture and to the space above the floor."""
+    c, s = jnp.cos(azimuth), jnp.sin(azimuth)
+    side = c[..., None] * corners[..., 1] - s[..., None] * corners[..., 0] > 0  # (..., corner): to port of the slice
+    lone = jnp.where(side[..., 0] == side[..., 1], 2, jnp.where(side[..., 0] == side[..., 2], 1, 0))
+    crossed = side.any(-1) & ~side.all(-1)
+    corner = [_pick(corners, (lone + k) % 3) for k in range(3)]
+    first, second = edge_point(corner[0], corner[1], azimuth), edge_point(corner[0], corner[2], azimuth)
+    t, kind, kept = _clip(first, second, azimuth, view)
+    rho = first[0][..., None] + t * (second[0] - first[0])[..., None]
+    z = first[1][..., None] + t * (second[1] - first[1])[..., None]
+    tau = z / jnp.maximum(rho, NEAR_M / 2)
+    edge = jnp.stack([lone, (lone + 2) % 3], axis=-1)  # lone corner to the next, and from the one before
+    flip = (tau[..., 0] > tau[..., 1])[..., None]
+    tau, kind, edge = (jnp.where(flip, v[..., ::-1], v) for v in (tau, kind, edge))
+    line = jnp.stack(plane_line(corners, azimuth), axis=-1)
+    return Segments(tau, line, kind, edge, crossed & kept & (tau[..., 1] > tau[..., 0]))
+
+
+def _pick(corners: Float[Array, "*batch 3 3"], index: Int[Array, "*batch"]) -> Float[Array, "*batch 3"]:
+    """Corner `index` of each triangle; selects are much faster than a gather on a CPU."""
+    i = index[..., None]
+    return jnp.where(i == 0, corners[..., 0, :], jnp.where(i == 1, corners[..., 1, :], corners[..., 2, :]))
+
+
+def _clip(first: tuple, second: tuple, azimuth: Array, view: View) -> tuple[Array, Array, Array]:
+    """Liang–Barsky: the part [t0, t1] of the segment inside the view, what ends it, and whether any is left."""
+    lateral = view.up[0] * jnp.cos(azimuth) + view.up[1] * jnp.sin(azimuth)
+    inside = (
+        (TAU_MIN, lambda rho, z: z - view.tau_min * rho),
+        (TAU_MAX, lambda rho, z: view.tau_max * rho - z),
+        (FLOOR, lambda rho, z: view.height + lateral * rho + view.up[2] * z),
+        (NEAR, lambda rho, z: rho - NEAR_M),
+    )
+    t0, t1 = jnp.zeros_like(first[0]), jnp.ones_like(first[0])
+    kind0 = kind1 = jnp.full(t0.shape, EDGE)
+    kept = jnp.ones(t0.shape, bool)
+    for name, distance in inside:
+        d0, d1 = distance(*first), distance(*second)
+        enters, leaves = (d0 < 0) & (d1 >= 0), (d0 >= 0) & (d1 < 0)
+        t = d0 / jnp.where(enters | leaves, d0 - d1, 1.0)
+        kind0, t0 = jnp.where(enters & (t > t0), name, kind0), jnp.where(enters, jnp.maximum(t0, t), t0)
+        kind1, t1 = jnp.where(leaves & (t < t1), name, kind1), jnp.where(leaves, jnp.minimum(t1, t), t1)
+        kept = kept & ((d0 >= 0) | (d1 >= 0))
+    return jnp.stack([t0, t1], -1), jnp.stack([kind0, kind1], -1), kept & (t1 > t0)

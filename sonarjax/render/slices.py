@@ -1,0 +1,60 @@
+"""Where the half-planes of constant azimuth are put: slabs between beam edges and the azimuths where a slice may jump.
+
+Between two neighbouring vertex azimuths every triangle is either cut by all half-planes or by none, so the visible
+profile is a continuous function of azimuth. A vertical edge makes it jump, and only there. Slabs therefore end at the
+azimuths of the vertices, and those ends move with the pose: the derivative of an integral over azimuth then holds the
+boundary term that a fixed set of rays loses (Leibniz' rule).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array, Float, Int
+
+GAUSS = 0.5 / 3**0.5  # two-point Gauss-Legendre nodes lie at the middle ± GAUSS × width
+
+
+class Slabs(NamedTuple):
+    """Azimuth slabs of a window, in ascending order."""
+
+    middle: Float[Array, "slab"]
+    """Azimuth in the middle of each slab [rad]."""
+    width: Float[Array, "slab"]
+    """Width of each slab [rad]; may be zero."""
+    weights: Float[Array, "beam slab"]
+    """Share of each beam's width that a slab makes up; a row sums to 1."""
+
+
+def make_slabs(azimuth_edges: Float[Array, "edge"], events: Float[Array, "event"], sub_beams: int) -> Slabs:
+    """Slabs between all beam edges (edge,) [rad], `sub_beams` even parts of each beam, and event azimuths (event,) [rad]."""
+    width = jnp.diff(azimuth_edges)
+    parts = jnp.arange(sub_beams, dtype=jnp.float32) / sub_beams
+    inner = (azimuth_edges[:-1, None] + width[:, None] * parts).reshape(-1)
+    inside = jnp.clip(events, azimuth_edges[0], azimuth_edges[-1])
+    bounds = jnp.concatenate([inner, azimuth_edges[-1:], inside])
+    bounds = bounds[jnp.argsort(stop_gradient(bounds))]
+    middle, slab_width = (bounds[1:] + bounds[:-1]) / 2, jnp.diff(bounds)
+    fixed = stop_gradient(middle)
+    inside_beam = (fixed >= azimuth_edges[:-1, None]) & (fixed < azimuth_edges[1:, None])
+    return Slabs(middle, slab_width, jnp.where(inside_beam, slab_width / width[:, None], 0.0))
+
+
+def event_azimuths(vertices: Float[Array, "vertex 3"], crease: Int[Array, "event"]) -> Float[Array, "event_and_ends"]:
+    """Azimuths (event + 2,) [rad] of the vertices at sharp edges and of the two outermost vertices of all.
+
+    The outermost two are where a smooth body begins and ends.
+    """
+    fixed = stop_gradient(vertices)
+    lateral = jnp.arctan2(fixed[:, 1], fixed[:, 0])
+    chosen = jnp.concatenate([crease, jnp.argmin(lateral)[None], jnp.argmax(lateral)[None]])
+    return safe_azimuth(vertices[chosen])
+
+
+def safe_azimuth(points: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
+    """Azimuth [rad] of points (..., 3) [m], with a zero gradient on the vertical through the sonar."""
+    x, y = points[..., 0], points[..., 1]
+    safe = x * x + y * y > 1e-8
+    return jnp.where(safe, jnp.arctan2(y, jnp.where(safe, x, 1.0)), 0.0)

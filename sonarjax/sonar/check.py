@@ -1,0 +1,131 @@
+"""The one check that every sonar made from a preset or a file passes: finite numbers that a device can have.
+
+Traced values (under jit, grad or vmap) are skipped: only numbers that are known can be judged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.sonar.model import Sonar
+
+MAX_RANGES = 100_000
+"""More range bins than any device stores: taken for a mistake."""
+MAX_BEAMS = 10_000
+"""More beams than any device forms: taken for a mistake."""
+
+
+class _Rule(NamedTuple):
+    field: str
+    holds: Callable[[np.ndarray], Any]
+    expected: str
+    degrees: bool = False  # the field is in radians; judged and reported in degrees
+
+
+_RULES = (
+    _Rule("range_min", lambda v: v >= 0, "0 m or more"),
+    _Rule("range_max", lambda v: v > 0, "more than 0 m"),
+    _Rule("elevation_aperture", lambda v: (v > 0) & (v < 180), "between 0° and 180°", degrees=True),
+    _Rule("tilt", lambda v: abs(v) <= 90, "between -90° and 90°", degrees=True),
+    _Rule("roll", lambda v: abs(v) <= 180, "between -180° and 180°", degrees=True),
+    _Rule("height", lambda v: v > 0, "more than 0 m"),
+    _Rule("frequency", lambda v: v > 0, "more than 0 Hz"),
+    _Rule("sound_speed", lambda v: v > 0, "more than 0 m/s"),
+    _Rule("pulse_length", lambda v: v >= 0, "0 m or more"),
+    _Rule("beam_width", lambda v: (v >= 0) & (v < 180), "between 0° and 180°", degrees=True),
+    _Rule("spreading_exponent", lambda v: v >= 0, "0 or more"),
+    _Rule("absorption", lambda v: v >= 0, "0 dB/m or more"),
+    _Rule("lambert", lambda v: v >= 0, "0 or more"),
+    _Rule("highlight_max_incidence", lambda v: (v > 0) & (v <= 90), "above 0°, up to 90°"),
+)
+_FLOOR_RULES = (
+    _Rule("x", np.isfinite, "a finite number"),
+    _Rule("y", np.isfinite, "a finite number"),
+    _Rule("length", lambda v: v > 0, "more than 0 m"),
+    _Rule("width", lambda v: v > 0, "more than 0 m"),
+    _Rule("yaw", lambda v: abs(v) <= 360, "between -360° and 360°", degrees=True),
+)
+
+
+def check_sonar(sonar: Sonar, source: str, names: Mapping[str, str] | None = None) -> Sonar:
+    """The same sonar, when every value is possible; `source` and `names` (field -> key) are used in messages.
+
+    Raises SonarjaxError naming the first field that is not: a wrong type, NaN or infinite, out of its limits, azimuths
+    that do not ascend, or a window that ends before it starts. Traced values are not judged.
+    """
+    names = names or {}
+    for rule in _RULES:
+        _check_number(getattr(sonar, rule.field), rule, source, names.get(rule.field, rule.field))
+    if sonar.floor is not None:
+        for rule in _FLOOR_RULES:
+            field = f"floor.{rule.field}"
+            _check_number(getattr(sonar.floor, rule.field), rule, source, names.get(field, field))
+    check_count(sonar.n_ranges, source, names.get("n_ranges", "n_ranges"))
+    check_azimuth(sonar.azimuth, source, names.get("azimuth", "azimuth"))
+    _check_window(sonar, source, names)
+    return sonar
+
+
+def _traced(*values: Any) -> bool:
+    return any(isinstance(value, jax.core.Tracer) for value in values)
+
+
+def _check_number(value: Any, rule: _Rule, source: str, name: str) -> None:
+    if _traced(value):
+        return
+    numbers = as_numbers(value)
+    if numbers is None or numbers.size == 0:
+        raise SonarjaxError(f"{source}: {name} must be a number, got {value!r}")
+    shown = np.round(np.degrees(numbers), 6) if rule.degrees else numbers
+    if not (np.isfinite(numbers).all() and np.all(rule.holds(shown))):
+        unit = "°" if rule.degrees else ""
+        values = shown.tolist() if shown.ndim else f"{shown.item():g}"
+        raise SonarjaxError(f"{source}: {name} must be {rule.expected}, got {values}{unit}")
+
+
+def as_numbers(value: Any) -> np.ndarray | None:
+    """The value as float64 of any shape, or None where it is no number (text, bool, ragged list, complex)."""
+    try:
+        array = np.asarray(value)
+        return array.astype(np.float64) if array.dtype.kind in "iuf" else None
+    except (TypeError, ValueError):
+        return None
+
+
+def check_count(count: Any, source: str, name: str = "n_ranges") -> None:
+    """Raises SonarjaxError unless `count` is a whole number of range bins that a device can have."""
+    if isinstance(count, bool) or not isinstance(count, int | np.integer):
+        raise SonarjaxError(f"{source}: {name} must be a whole number, got {count!r}")
+    if not 1 <= count <= MAX_RANGES:
+        raise SonarjaxError(f"{source}: {name} must be between 1 and {MAX_RANGES}, got {count}")
+
+
+def check_azimuth(azimuth: Any, source: str, name: str = "azimuth") -> None:
+    """Raises SonarjaxError unless `azimuth` (beam,) [rad] is finite, within ±90° and strictly ascending (or traced)."""
+    if _traced(azimuth):
+        return
+    angles = as_numbers(azimuth)
+    if angles is None or angles.ndim != 1 or not 1 <= angles.size <= MAX_BEAMS:
+        raise SonarjaxError(f"{source}: {name} must be a list of 1 to {MAX_BEAMS} beam angles")
+    if not np.isfinite(angles).all():
+        raise SonarjaxError(f"{source}: {name} holds NaN or infinite values")
+    if not (np.abs(angles) < np.pi / 2).all():
+        worst = np.degrees(angles[np.argmax(np.abs(angles))])
+        raise SonarjaxError(f"{source}: {name} must stay within ±90°, got {worst:g}°")
+    wrong = np.flatnonzero(np.diff(angles) <= 0)
+    if wrong.size:
+        raise SonarjaxError(f"{source}: {name} must strictly ascend, but beam {wrong[0] + 1} does not")
+
+
+def _check_window(sonar: Sonar, source: str, names: Mapping[str, str]) -> None:
+    if _traced(sonar.range_min, sonar.range_max):
+        return
+    near, far = np.asarray(sonar.range_min), np.asarray(sonar.range_max)
+    if not np.all(near < far):
+        first, last = (names.get(field, field) for field in ("range_min", "range_max"))
+        raise SonarjaxError(f"{source}: {first} must be less than {last}, got {near} and {far}")

@@ -1,0 +1,236 @@
+"""`sonar.toml`: a `Sonar` as a text file; metres, and degrees where the key says `_deg`.
+
+Reading checks every key, type and value and raises one clear `SonarjaxError`; writing gives a file that reads back to
+the same sonar. A key that is not given keeps the preset's value, or the default of `Sonar`.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import reprlib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Array, Float
+
+from sonarjax.io.atomic import write_text
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.toml import read_toml
+from sonarjax.sonar.check import MAX_BEAMS, MAX_RANGES, as_numbers, check_sonar
+from sonarjax.sonar.model import FloorPatch, Sonar
+from sonarjax.sonar.presets import PRESETS, azimuth_from_deg, even_beams
+
+_FIELDS = {
+    "range_min_m": "range_min",
+    "range_max_m": "range_max",
+    "elevation_aperture_deg": "elevation_aperture",
+    "tilt_deg": "tilt",
+    "height_m": "height",
+    "roll_deg": "roll",
+    "frequency_hz": "frequency",
+    "sound_speed_m_s": "sound_speed",
+    "pulse_length_m": "pulse_length",
+    "beam_width_deg": "beam_width",
+    "spreading_exponent": "spreading_exponent",
+    "absorption_db_m": "absorption",
+    "lambert": "lambert",
+    "highlight_max_incidence_deg": "highlight_max_incidence",
+}
+_FLOOR_FIELDS = {"x_m": "x", "y_m": "y", "length_m": "length", "width_m": "width", "yaw_deg": "yaw"}
+_KEPT_IN_DEGREES = {"highlight_max_incidence_deg"}
+_REQUIRED = ("range_min_m", "range_max_m", "n_ranges", "elevation_aperture_deg", "tilt_deg", "height_m")
+_BEAM_KEYS = ("azimuth_deg", "n_beams", "field_of_view_deg")
+_KNOWN = ("preset", *_BEAM_KEYS, "n_ranges", *_FIELDS, "floor")
+_NAMES = (
+    {field: key for key, field in _FIELDS.items()}
+    | {f"floor.{field}": f"floor.{key}" for key, field in _FLOOR_FIELDS.items()}
+    | {"azimuth": "azimuth_deg"}
+)
+
+
+def read_sonar(path: str | Path) -> Sonar:
+    """The sonar of a `sonar.toml`.
+
+    Raises SonarjaxError naming the file and the key: no such file, a folder, not UTF-8, not TOML, and whatever
+    `sonar_from_dict` finds.
+    """
+    return sonar_from_dict(read_toml(path), str(path))
+
+
+def sonar_from_dict(table: Mapping[str, Any], source: str) -> Sonar:
+    """The sonar of a parsed `sonar.toml`; `source` is the file's name in messages.
+
+    With a preset, `n_beams` or `field_of_view_deg` that differ from it give evenly spaced beams; the missing one of
+    the two is the preset's. Fields are Python floats [m, rad], azimuth is float32 (beam,) [rad].
+    Raises SonarjaxError for unknown or missing keys, wrong types, impossible values and beams that do not agree.
+    """
+    _refuse_unknown(table, _KNOWN, source)
+    base = _preset(table, source)
+    if base is None:
+        _require(table, source)
+    values = _numbers(table, _FIELDS, source)
+    if "n_ranges" in table:
+        values["n_ranges"] = _whole(table, "n_ranges", MAX_RANGES, source)
+    if "floor" in table:
+        values["floor"] = _floor(table["floor"], source)
+    values["azimuth"] = _azimuth(table, base, source)
+    if values["azimuth"].size == 1 and "field_of_view_deg" in table:
+        values.setdefault("beam_width", math.radians(table["field_of_view_deg"]))
+    sonar = check_sonar(base.replace(**values) if base else Sonar(**values), source, _NAMES)
+    _check_beams(table, sonar, source)
+    return sonar
+
+
+def write_sonar(sonar: Sonar, path: str | Path) -> None:
+    """Write a `sonar.toml` in one step; `read_sonar` gives the same sonar back.
+
+    Raises SonarjaxError when a value is impossible, traced or batched, or the file cannot be written.
+    """
+    check_sonar(sonar, f"{path}: cannot write this sonar", _NAMES)
+    lines = ["# Metres; degrees where the key says _deg."]
+    lines.append(f"azimuth_deg = [{', '.join(map(repr, _azimuth_deg(sonar, path)))}]")
+    lines.append(f"n_ranges = {int(sonar.n_ranges)}")
+    lines += [f"{key} = {_written(getattr(sonar, field), key, path)}" for key, field in _FIELDS.items()]
+    if sonar.floor is not None:
+        lines += ["", "[floor]"]
+        lines += [f"{key} = {_written(getattr(sonar.floor, name), key, path)}" for key, name in _FLOOR_FIELDS.items()]
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def _azimuth_deg(sonar: Sonar, path: str | Path) -> list[float]:
+    angles = as_numbers(sonar.azimuth)
+    if angles is None:
+        raise SonarjaxError(f"{path}: azimuth_deg is traced and cannot be written to a file")
+    return [round(angle, 12) for angle in np.degrees(angles).tolist()]
+
+
+def _written(value: Any, key: str, path: str | Path) -> str:
+    number = as_numbers(value)
+    if number is None or number.ndim:
+        raise SonarjaxError(f"{path}: {key} must be one number to be written to a file, got {_shown(value)}")
+    plain = number.item()
+    return repr(round(math.degrees(plain), 12) if _is_angle(key) else plain)
+
+
+def _is_angle(key: str) -> bool:
+    return key.endswith("_deg") and key not in _KEPT_IN_DEGREES
+
+
+def _refuse_unknown(table: Mapping[str, Any], known: Iterable[str], source: str) -> None:
+    for key in table:
+        if key not in known:
+            nearest = difflib.get_close_matches(key, known, n=1, cutoff=0.5)
+            hint = f"did you mean {nearest[0]!r}?" if nearest else f"expected one of: {', '.join(known)}"
+            raise SonarjaxError(f"{source}: unknown key {key!r}, {hint}")
+
+
+def _preset(table: Mapping[str, Any], source: str) -> Sonar | None:
+    if "preset" not in table:
+        return None
+    name = table["preset"]
+    if not isinstance(name, str) or name not in PRESETS:
+        raise SonarjaxError(f"{source}: unknown preset {_shown(name)}, expected one of: {', '.join(PRESETS)}")
+    return PRESETS[name].sonar()
+
+
+def _require(table: Mapping[str, Any], source: str) -> None:
+    missing = [key for key in _REQUIRED if key not in table]
+    if "azimuth_deg" not in table and not ("n_beams" in table and "field_of_view_deg" in table):
+        missing.insert(0, "azimuth_deg (or n_beams and field_of_view_deg)")
+    if missing:
+        raise SonarjaxError(f"{source}: missing {', '.join(missing)} (required where no preset is named)")
+
+
+def _numbers(table: Mapping[str, Any], fields: Mapping[str, str], source: str, prefix: str = "") -> dict[str, Any]:
+    """Field -> value in the units of `Sonar`, for the keys that are there."""
+    values = {}
+    for key, field in fields.items():
+        if key in table:
+            number = _number(table[key], prefix + key, source)
+            values[field] = math.radians(number) if _is_angle(key) else number
+    return values
+
+
+def _number(value: Any, key: str, source: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise SonarjaxError(f"{source}: {key} must be a number, got {_shown(value)}")
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise SonarjaxError(f"{source}: {key} must be a finite number, got {_shown(value)}")
+    return number
+
+
+def _whole(table: Mapping[str, Any], key: str, largest: int, source: str) -> int:
+    value = table[key]
+    if isinstance(value, bool) or not isinstance(value, int):
+        raise SonarjaxError(f"{source}: {key} must be a whole number, got {_shown(value)}")
+    if not 1 <= value <= largest:
+        raise SonarjaxError(f"{source}: {key} must be between 1 and {largest}, got {_shown(value)}")
+    return value
+
+
+def _shown(value: Any) -> str:
+    try:
+        return reprlib.repr(value)
+    except ValueError:  # Python refuses to print an integer of thousands of digits
+        return "a huge number"
+
+
+def _floor(table: Any, source: str) -> FloorPatch:
+    if not isinstance(table, Mapping):
+        raise SonarjaxError(f"{source}: floor must be a table [floor], got {_shown(table)}")
+    _refuse_unknown(table, _FLOOR_FIELDS, f"{source}: [floor]")
+    missing = [key for key in _FLOOR_FIELDS if key not in table and key != "yaw_deg"]
+    if missing:
+        raise SonarjaxError(f"{source}: [floor] misses {', '.join(missing)}")
+    return FloorPatch(**_numbers(table, _FLOOR_FIELDS, source, "floor."))
+
+
+def _azimuth(table: Mapping[str, Any], base: Sonar | None, source: str) -> Float[Array, "beam"]:
+    """Beam centres (beam,) [rad] from the list, else from the number of beams and the field of view."""
+    n_beams = _whole(table, "n_beams", MAX_BEAMS, source) if "n_beams" in table else None
+    view = None
+    if "field_of_view_deg" in table:
+        view = _number(table["field_of_view_deg"], "field_of_view_deg", source)
+        if not 0 < view < 180:
+            raise SonarjaxError(f"{source}: field_of_view_deg must be between 0 and 180, got {view:g}")
+    if "azimuth_deg" in table:
+        return _listed_azimuth(table["azimuth_deg"], source)
+    if base is not None:
+        own = _field_of_view_deg(base)
+        n_beams, view = n_beams or base.n_beams, view or own
+        if n_beams == base.n_beams and math.isclose(view, own, rel_tol=1e-3):
+            return base.azimuth  # the preset's own beams, even or not
+    assert n_beams is not None  # `_require` has seen to both
+    assert view is not None
+    return azimuth_from_deg(even_beams(n_beams, view))
+
+
+def _listed_azimuth(value: Any, source: str) -> Float[Array, "beam"]:
+    if not isinstance(value, list | tuple | np.ndarray) or len(value) == 0:
+        raise SonarjaxError(f"{source}: azimuth_deg must be a list of numbers, got {_shown(value)}")
+    return azimuth_from_deg([_number(v, f"azimuth_deg[{i}]", source) for i, v in enumerate(value)])
+
+
+def _field_of_view_deg(sonar: Sonar) -> float:
+    """Angle between the outer edges of the outer beams [deg]."""
+    edges = sonar.azimuth_edges
+    return math.degrees(float(edges[-1] - edges[0]))
+
+
+def _check_beams(table: Mapping[str, Any], sonar: Sonar, source: str) -> None:
+    """`n_beams` and `field_of_view_deg` agree with `azimuth_deg`, the latter within one beam."""
+    if "azimuth_deg" not in table:
+        return
+    if "n_beams" in table and table["n_beams"] != sonar.n_beams:
+        raise SonarjaxError(f"{source}: n_beams is {table['n_beams']}, but azimuth_deg lists {sonar.n_beams} beams")
+    if "field_of_view_deg" in table and sonar.n_beams > 1:
+        listed, view = _field_of_view_deg(sonar), float(table["field_of_view_deg"])
+        if abs(listed - view) > listed / sonar.n_beams:
+            raise SonarjaxError(f"{source}: field_of_view_deg is {view:g}, but azimuth_deg spans {listed:.2f}")

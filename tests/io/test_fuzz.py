@@ -1,0 +1,180 @@
+"""Corrupted files: 21,000 mutations over all loaders give frames or SonarjaxError, and no big allocation."""
+
+import gc
+import math
+import struct
+import tracemalloc
+import zlib
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from sonarjax.io import SonarjaxError, parse_aris, parse_didson, parse_oculus, parse_toml, read_frames
+from sonarjax.io.images import parse_npy_frame, parse_npz_frame, parse_png_frame
+
+QUIET = [HealthCheck.function_scoped_fixture, HealthCheck.too_slow, HealthCheck.data_too_large]
+WORDS = [struct.pack("<I", n) for n in (0, 1, 2, 255, 2**15, 2**16, 2**24, 2**31 - 1, 2**31, 2**32 - 1)]
+WORDS += [struct.pack("<f", x) for x in (math.nan, math.inf, -math.inf, 1e30, -1e30, 0.0)]
+WORDS += [struct.pack("<d", x) for x in (math.nan, 1e300)] + [b"\0", b"\xff", b"(", b"'", b"9", b"\n"]
+
+EDITS = st.lists(
+    st.tuples(st.integers(0, 2**16), st.sampled_from(WORDS) | st.binary(min_size=1, max_size=8)), min_size=1, max_size=3
+)
+CUTS = st.none() | st.integers(0, 2**16)
+
+
+def fuzzed(max_examples):
+    """A test of `edits` (where, what) and `cut` (a length), both taken modulo the size of the file."""
+    config = settings(
+        max_examples=max_examples, deadline=None, derandomize=True, database=None, suppress_health_check=QUIET
+    )
+    return lambda test: config(given(edits=EDITS, cut=CUTS)(test))
+
+
+def corrupt(content, edits, cut, header=None):
+    """`content` with bytes overwritten in its first `header` bytes, perhaps cut short."""
+    damaged = bytearray(content)
+    for where, what in edits:
+        at = where % (header or len(content))
+        damaged[at : at + len(what)] = what[: len(damaged) - at]
+    return bytes(damaged if cut is None else damaged[: cut % len(damaged)])
+
+
+def survive(parser, content):
+    """Frames that keep the contract, or the package's own error in one line."""
+    try:
+        frames = list(parser(content, "fuzz.bin"))
+    except SonarjaxError as error:
+        assert str(error).startswith("fuzz.bin: ") and "\n" not in str(error)
+        return
+    for frame in frames:
+        assert frame.image.dtype == np.float32 and frame.image.ndim == 2 and frame.image.size
+        assert frame.image.min() >= 0.0 and frame.image.max() <= 1.0
+        if frame.geometry is not None:
+            assert len(frame.geometry["azimuth_deg"]) == frame.shape[1]
+            assert 0.0 <= frame.geometry["range_min_m"] < frame.geometry["range_max_m"] < math.inf
+
+
+@pytest.fixture(scope="module")
+def valid(make):
+    """A small valid file of each format."""
+    grey = make.ramp(6, 5)
+    return {
+        "aris": make.aris(n_frames=2, n_ranges=4, ping_mode=1),
+        "didson": make.didson(n_frames=1, n_beams=48),
+        "oculus": make.oculus(),
+        "npy": make.npy(grey),
+        "npz": make.npz(image=grey / np.float32(255), mask=grey > 3),
+        "png": make.png(grey),
+    }
+
+
+@fuzzed(3500)
+def test_aris(valid, edits, cut):
+    survive(parse_aris, corrupt(valid["aris"], edits, cut))
+
+
+@fuzzed(3000)
+def test_didson(valid, edits, cut):
+    survive(parse_didson, corrupt(valid["didson"], edits, cut, header=768))
+
+
+@fuzzed(3500)
+def test_oculus(valid, edits, cut):
+    survive(parse_oculus, corrupt(valid["oculus"], edits, cut))
+
+
+@fuzzed(3000)
+def test_npy(valid, edits, cut):
+    survive(parse_npy_frame, corrupt(valid["npy"], edits, cut, header=128))
+
+
+@fuzzed(2500)
+def test_npz(valid, edits, cut):
+    survive(parse_npz_frame, corrupt(valid["npz"], edits, cut))
+
+
+@fuzzed(1500)
+def test_npz_members(make, valid, edits, cut):
+    """Damage inside the archive, under a check sum that is right."""
+    survive(parse_npz_frame, make.npz(image=corrupt(valid["npy"], edits, cut, header=128), mask=valid["npy"]))
+
+
+@fuzzed(1500)
+def test_png(valid, edits, cut):
+    survive(parse_png_frame, corrupt(valid["png"], edits, cut))
+
+
+@fuzzed(1500)
+def test_png_headers(valid, edits, cut):
+    """Damage in the header chunk, under a check sum that is right."""
+    body = corrupt(valid["png"][16:29], edits, None)
+    chunk = b"IHDR" + body + struct.pack(">I", zlib.crc32(b"IHDR" + body))
+    content = valid["png"][:12] + chunk + valid["png"][33:]
+    survive(parse_png_frame, content if cut is None else content[: 33 + cut % len(content)])
+
+
+@fuzzed(1000)
+def test_toml(edits, cut):
+    content = corrupt(b'preset = "didson-hf"\nazimuth_deg = [1, 2.5]\n[floor]\nx_m = 1e3\n', edits, cut)
+    try:
+        assert isinstance(parse_toml(content, "fuzz.bin"), dict)
+    except SonarjaxError as error:
+        assert str(error).startswith("fuzz.bin: ") and "\n" not in str(error)
+
+
+@fuzzed(200)
+def test_from_the_disk(valid, tmp_path, edits, cut):
+    for kind, ending in (("aris", "aris"), ("didson", "ddf"), ("oculus", "raw"), ("npz", "npz"), ("png", "png")):
+        path = tmp_path / f"fuzz.{ending}"
+        path.write_bytes(corrupt(valid[kind], edits, cut))
+        try:
+            read_frames(path)
+        except SonarjaxError as error:
+            assert str(error).startswith(str(path))
+
+
+def hostile(valid, kind, header):
+    """Every aligned field of the header set to each large number in turn."""
+    for at in range(0, header, 2):
+        for what in (b"\xff\xff", b"\xff\xff\xff\x7f", struct.pack("<I", 60000), struct.pack("<I", 2**24)):
+            yield corrupt(valid[kind], [(at, what)], None)
+
+
+@pytest.mark.parametrize(
+    ("kind", "parser", "header"),
+    [
+        ("aris", parse_aris, 2048),
+        ("oculus", parse_oculus, 160),
+        ("didson", parse_didson, 768),
+        ("npy", parse_npy_frame, 128),
+    ],
+)
+def test_no_allocation_that_only_a_header_asks_for(valid, kind, parser, header):
+    tracemalloc.start()
+    try:
+        # float32 out of bytes is 4 x; a check makes a boolean of it; a few kB of names and tables.
+        limit = 9 * len(valid[kind]) + 400_000
+        for content in hostile(valid, kind, header):
+            tracemalloc.reset_peak()
+            before = tracemalloc.get_traced_memory()[0]
+            survive(parser, content)
+            assert tracemalloc.get_traced_memory()[1] - before < limit
+    finally:
+        tracemalloc.stop()
+        gc.collect()
+
+
+def test_a_hostile_npz_stays_small(make):
+    """50 MB of zeros behind a header that asks for little, and a header that asks for much with nothing behind it."""
+    little = make.npy_header("{'descr': '|u1', 'fortran_order': False, 'shape': (3, 4)}") + bytes(50_000_000)
+    much = make.npy_header("{'descr': '<f8', 'fortran_order': False, 'shape': (8000, 8000)}")
+    for content in (make.npz(image=little), make.npz(image=much)):
+        tracemalloc.start()
+        try:
+            survive(parse_npz_frame, content)
+            assert tracemalloc.get_traced_memory()[1] < 2_000_000
+        finally:
+            tracemalloc.stop()

@@ -1,0 +1,182 @@
+"""Files out: all or nothing, and JSON Lines that survive a kill."""
+
+import errno
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from skimage import io as skimage_io
+
+from sonarjax.io import JsonLines, SonarjaxError, read_frames, write_atomic, write_npz, write_png, write_text
+
+
+def full(*_):
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def read_only(*_):
+    raise OSError(errno.EROFS, "Read-only file system")
+
+
+def test_npz_round_trip_and_same_bytes(tmp_path):
+    arrays = {"image": np.random.default_rng(1).random((5, 7), np.float32), "path": np.arange(3), "file": np.eye(2) > 0}
+    write_npz(tmp_path / "a.npz", **arrays)
+    write_npz(tmp_path / "b.npz", **arrays)
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+    with np.load(tmp_path / "a.npz", allow_pickle=False) as loaded:
+        assert set(loaded) == set(arrays)
+        for key, value in arrays.items():
+            np.testing.assert_array_equal(loaded[key], value)
+    np.testing.assert_array_equal(read_frames(tmp_path / "a.npz")[0].image, arrays["image"])
+    with pytest.raises(SonarjaxError, match="got Python objects"):
+        write_npz(tmp_path / "c.npz", image=np.array([None]))
+
+
+def test_png_round_trip(tmp_path):
+    grey = np.arange(12, dtype=np.uint8).reshape(3, 4) * 20
+    write_png(tmp_path / "a.png", grey)
+    np.testing.assert_array_equal(skimage_io.imread(tmp_path / "a.png"), grey)
+    write_png(tmp_path / "b.png", grey / 255.0)
+    np.testing.assert_array_equal(skimage_io.imread(tmp_path / "b.png"), grey)
+    colour = np.stack([grey, grey // 2, grey // 3], axis=2)
+    write_png(tmp_path / "c.png", colour)
+    np.testing.assert_array_equal(skimage_io.imread(tmp_path / "c.png"), colour)
+
+
+@pytest.mark.parametrize("value", [np.nan, -0.5, 1.5])
+def test_png_refuses_values(tmp_path, value):
+    with pytest.raises(SonarjaxError, match=r"expected finite floats in \[0, 1\]"):
+        write_png(tmp_path / "a.png", np.full((2, 2), value))
+    assert not list(tmp_path.iterdir())
+
+
+def test_text_follows_a_link_and_keeps_the_mode(tmp_path):
+    target, link = tmp_path / "a.txt", tmp_path / "link.txt"
+    target.write_text("old")
+    target.chmod(0o640)
+    link.symlink_to(target)
+    write_text(link, "grün\n")
+    assert target.read_text("utf-8") == "grün\n" and link.is_symlink()
+    assert target.stat().st_mode & 0o777 == 0o640
+
+
+@pytest.mark.parametrize("old", [None, b"old content"])
+@pytest.mark.parametrize(("function", "failure", "words"), [
+    ("replace", read_only, "Read-only file system"),
+    ("fsync", full, "No space left"),
+    ("open", read_only, "Read-only file system"),
+])  # fmt: skip
+def test_a_failure_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch, old, function, failure, words):
+    path = tmp_path / "a.bin"
+    if old is not None:
+        path.write_bytes(old)
+    before = sorted(tmp_path.iterdir())
+    with monkeypatch.context() as patch, pytest.raises(SonarjaxError, match=words) as caught:
+        patch.setattr(os, function, failure)
+        write_atomic(path, lambda file: file.write(b"new"))
+    assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+    assert sorted(tmp_path.iterdir()) == before
+    assert old is None or path.read_bytes() == old
+
+
+@pytest.mark.parametrize(
+    "error", [OSError(errno.ENOSPC, "No space left on device"), KeyboardInterrupt(), KeyError("x")]
+)
+def test_a_failing_writer_leaves_the_old_file(tmp_path, error):
+    path = tmp_path / "a.bin"
+    path.write_bytes(b"old")
+
+    def writer(file):
+        file.write(b"half of it")
+        raise error
+
+    expected = SonarjaxError if isinstance(error, OSError) else type(error)
+    with pytest.raises(expected):
+        write_atomic(path, writer)
+    assert path.read_bytes() == b"old" and len(list(tmp_path.iterdir())) == 1
+
+
+def test_bad_targets(tmp_path):
+    with pytest.raises(SonarjaxError, match="this is a folder"):
+        write_text(tmp_path, "x")
+    with pytest.raises(SonarjaxError, match="cannot be written: No such file or directory"):
+        write_text(tmp_path / "no" / "a.txt", "x")
+    with pytest.raises(SonarjaxError, match="NUL"):
+        write_text("a\0b", "x")
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(SonarjaxError, match="Not a directory"):
+        write_text(tmp_path / "file" / "a.txt", "x")
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full")
+def test_a_full_device(tmp_path):
+    link = tmp_path / "a.npz"
+    link.symlink_to("/dev/full")
+    with pytest.raises(SonarjaxError, match="No space left"):
+        write_npz(link, image=np.zeros((2, 2)))
+    with JsonLines("/dev/full") as lines, pytest.raises(SonarjaxError, match="No space left"):
+        lines.write({"a": 1})
+    assert os.path.exists("/dev/full")
+
+
+def test_json_lines_append(tmp_path):
+    path = tmp_path / "r.jsonl"
+    with JsonLines(path) as lines:
+        lines.write({"nan": float("nan"), "inf": np.float32(np.inf), "list": np.array([1.0, -np.inf])})
+        assert len(path.read_text().splitlines()) == 1  # there before the file is closed
+    with JsonLines(path) as lines:
+        lines.write({"yes": np.bool_(True), "n": np.int64(3), "x": np.float32(0.5), "none": None, "path": tmp_path})
+        lines.write({"nested": {"t": (1, "ü\n")}})
+    first, second, third = map(json.loads, path.read_text("utf-8").splitlines())
+    assert first == {"nan": None, "inf": None, "list": [1.0, None]}
+    assert second == {"yes": True, "n": 3, "x": 0.5, "none": None, "path": str(tmp_path)}
+    assert third == {"nested": {"t": [1, "ü\n"]}}
+
+
+def test_json_lines_ends_a_line_that_was_cut_off(tmp_path):
+    path = tmp_path / "r.jsonl"
+    path.write_text('{"a": 1}\n{"b": ')
+    with JsonLines(path) as lines:
+        lines.write({"c": 3})
+    assert path.read_text().splitlines() == ['{"a": 1}', '{"b": ', '{"c": 3}']
+
+
+def test_json_lines_survive_a_kill(tmp_path):
+    path = tmp_path / "r.jsonl"
+    program = (
+        "import os, signal, sys\nfrom sonarjax.io.jsonlines import JsonLines\nlines = JsonLines(sys.argv[1])\n"
+        "lines.write({'n': 1})\nlines.write({'n': 2})\nos.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    subprocess.run([sys.executable, "-c", program, str(path)], check=False, timeout=60, env=environment)
+    assert [json.loads(line)["n"] for line in path.read_text().splitlines()] == [1, 2]
+
+
+def test_json_lines_take_back_half_a_line(tmp_path, monkeypatch):
+    path = tmp_path / "r.jsonl"
+    with JsonLines(path) as lines:
+        lines.write({"n": 1})
+        real = os.write
+        calls = []
+
+        def short(descriptor, data):
+            calls.append(data)
+            return real(descriptor, data[:4]) if len(calls) == 1 else full()
+
+        with monkeypatch.context() as patch, pytest.raises(SonarjaxError, match="No space left"):
+            patch.setattr(os, "write", short)
+            lines.write({"n": 2})
+        lines.write({"n": 3})
+    assert [json.loads(line)["n"] for line in path.read_text().splitlines()] == [1, 3]
+
+
+def test_json_lines_bad_targets(tmp_path):
+    with pytest.raises(SonarjaxError, match="cannot be opened for writing"):
+        JsonLines(tmp_path)
+    with pytest.raises(SonarjaxError, match="cannot be opened for writing"):
+        JsonLines(tmp_path / "no" / "r.jsonl")
+    with JsonLines(tmp_path / "r.jsonl") as lines, pytest.raises(TypeError, match="not JSON"):
+        lines.write({"a": object()})

@@ -1,0 +1,315 @@
+"""`Mesh`: files through trimesh, clear errors, padding that keeps the surface, and the bound on crossings."""
+
+import math
+import zipfile
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import trimesh
+
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.scene import Mesh, objects
+
+FOLDERS = Path(__file__).parents[2:4]  # the repository, and the folder that holds it
+PIPE = next((f / "shared/real/pipe/pipe.stl" for f in FOLDERS if (f / "shared/real/pipe").is_dir()), Path("absent"))
+TRIANGLE = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+
+
+def surface(mesh):
+    """The mesh in trimesh, padding included."""
+    return trimesh.Trimesh(np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces), process=False)
+
+
+def two_boxes():
+    """Two boxes apart, the second inside out."""
+    one = trimesh.creation.box((0.2, 0.1, 0.1))
+    other = trimesh.creation.box((0.1, 0.1, 0.3), trimesh.transformations.translation_matrix([0.4, 0.1, 0.0]))
+    other.invert()
+    return trimesh.util.concatenate([one, other])
+
+
+# Files
+
+
+@pytest.mark.parametrize("extension", ["stl", "obj", "ply", "glb", "off"])
+@pytest.mark.parametrize("solid", [trimesh.creation.box((0.19, 0.09, 0.057)), trimesh.creation.icosphere(2, 0.11)])
+def test_round_trip_through_a_file(extension, solid, tmp_path):
+    solid.export(tmp_path / f"solid.{extension}")
+    mesh = Mesh.load(tmp_path / f"solid.{extension}")
+    assert mesh.closed
+    assert surface(mesh).area == pytest.approx(solid.area, rel=1e-5)
+    assert surface(mesh).volume == pytest.approx(solid.volume, rel=1e-5)
+    np.testing.assert_allclose(surface(mesh).bounds, solid.bounds, atol=1e-6)
+
+
+def test_ascii_stl_and_a_path_as_text(tmp_path):
+    trimesh.creation.box((0.2, 0.1, 0.1)).export(tmp_path / "box.stl", file_type="stl_ascii")
+    assert Mesh.load(str(tmp_path / "box.stl")).closed
+
+
+def test_a_scene_is_one_surface_with_its_transforms(tmp_path):
+    box, scene = trimesh.creation.box((0.1, 0.1, 0.1)), trimesh.Scene()
+    for x in (0.0, 0.5):
+        scene.add_geometry(box, transform=trimesh.transformations.translation_matrix([x, 0, 0]))
+    scene.export(tmp_path / "scene.glb")
+    mesh = Mesh.load(tmp_path / "scene.glb")
+    np.testing.assert_allclose(surface(mesh).extents, [0.6, 0.1, 0.1], rtol=1e-5)
+    assert surface(mesh).volume == pytest.approx(2e-3, rel=1e-5)
+
+
+def test_millimetres_are_noticed_and_unit_m_scales(tmp_path):
+    path = tmp_path / "brick.stl"
+    trimesh.creation.box((190, 90, 57)).export(path)
+    with pytest.raises(SonarjaxError, match=r"brick.stl: the mesh is 190 m long; expected metres.*unit_m=0.001"):
+        Mesh.load(path)
+    np.testing.assert_allclose(surface(Mesh.load(path, unit_m=1e-3)).extents, [0.19, 0.09, 0.057], rtol=1e-5)
+
+
+@pytest.mark.parametrize("unit", [0.0, -0.001, math.nan, math.inf])
+def test_impossible_units(unit, tmp_path):
+    trimesh.creation.box((0.2, 0.1, 0.1)).export(tmp_path / "box.stl")
+    with pytest.raises(SonarjaxError, match="unit_m must be a positive number"):
+        Mesh.load(tmp_path / "box.stl", unit_m=unit)
+
+
+@pytest.mark.parametrize(("unit", "scale"), [("mm", 1e-3), ("millimeters", 1e-3), ("inches", 0.0254), (None, 1.0)])
+def test_the_units_of_the_file_are_used(unit, scale, tmp_path, monkeypatch):
+    solid = trimesh.creation.box((1.0, 2.0, 3.0))
+    solid.units = unit
+    monkeypatch.setattr(trimesh, "load", lambda *_, **__: solid)
+    (tmp_path / "box.any").write_text("read by the line above")
+    extents = surface(Mesh.load(tmp_path / "box.any")).extents
+    np.testing.assert_allclose(extents, np.multiply([1, 2, 3], scale), rtol=1e-5)
+    assert surface(Mesh.load(tmp_path / "box.any", unit_m=0.5)).extents[0] == pytest.approx(0.5)  # the caller wins
+
+
+def test_3mf_is_in_millimetres_by_default(tmp_path):
+    pytest.importorskip("lxml")  # trimesh reads 3MF with it
+    solid = trimesh.creation.box((190, 90, 57))
+    vertices = "".join(f'<vertex x="{x}" y="{y}" z="{z}"/>' for x, y, z in solid.vertices)
+    faces = "".join(f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in solid.faces)
+    model = (
+        '<model unit="millimeter" xmlns="http://schemas.microsoft.com/3dmanufacturing/core/2015/02"><resources>'
+        f'<object id="1" type="model"><mesh><vertices>{vertices}</vertices><triangles>{faces}</triangles></mesh>'
+        '</object></resources><build><item objectid="1"/></build></model>'
+    )
+    with zipfile.ZipFile(tmp_path / "brick.3mf", "w") as archive:
+        archive.writestr("3D/3dmodel.model", model)
+    np.testing.assert_allclose(surface(Mesh.load(tmp_path / "brick.3mf")).extents, [0.19, 0.09, 0.057], rtol=1e-5)
+
+
+def refused(path, message):
+    with pytest.raises(SonarjaxError) as caught:
+        Mesh.load(path)
+    text = str(caught.value)
+    assert message in text
+    assert text.startswith(f"{path}: ")
+    assert "\n" not in text
+
+
+def test_missing_folder_and_empty_file(tmp_path):
+    refused(tmp_path / "none.stl", "no such mesh file")
+    refused(tmp_path, "is a folder")
+    (tmp_path / "empty.stl").touch()
+    refused(tmp_path / "empty.stl", "the mesh file is empty")
+
+
+@pytest.mark.parametrize("file_type", ["stl", "stl_ascii"])
+@pytest.mark.parametrize("keep", [0.05, 0.5, 0.97])
+def test_truncated_stl(file_type, keep, tmp_path):
+    path = tmp_path / "box.stl"
+    trimesh.creation.box((0.2, 0.1, 0.1)).export(path, file_type=file_type)
+    content = path.read_bytes()
+    path.write_bytes(content[: int(keep * len(content))])
+    refused(path, "")
+
+
+@pytest.mark.parametrize("extension", ["ply", "glb", "off", "obj"])
+def test_other_truncated_files(extension, tmp_path):
+    path = tmp_path / f"box.{extension}"
+    trimesh.creation.box((0.2, 0.1, 0.1)).export(path)
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) // 2])
+    refused(path, "")
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("garbage.stl", "garbage garbage\n", ""),
+        ("note.txt", "hello", "cannot be read as a mesh"),
+        ("noextension", "hello", "cannot be read as a mesh"),
+        ("points.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n", "expected a surface"),
+        ("line.obj", "v 0 0 0\nv 1 0 0\nl 1 2\n", "expected a surface"),
+        ("points.xyz", "0 0 0\n1 1 1\n", "expected a surface"),
+        ("nan.obj", "v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "NaN"),
+        ("index.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", ""),
+        ("index.off", "OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n", ""),
+        ("flat.obj", "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "zero area"),
+    ],
+)
+def test_files_that_hold_no_surface(name, text, message, tmp_path):
+    (tmp_path / name).write_text(text)
+    refused(tmp_path / name, message)
+
+
+def test_a_point_cloud_is_no_surface(tmp_path):
+    trimesh.PointCloud(np.random.default_rng(0).random((20, 3))).export(tmp_path / "cloud.ply")
+    refused(tmp_path / "cloud.ply", "PointCloud, expected a surface")
+
+
+# Arrays
+
+
+@pytest.mark.parametrize(
+    ("vertices", "faces", "message"),
+    [
+        (TRIANGLE * [[1, 1, 1], [1, 1, 1], [1, np.nan, 1]], [[0, 1, 2]], "NaN or infinite"),
+        (TRIANGLE + [[0, 0, np.inf]], [[0, 1, 2]], "NaN or infinite"),
+        (TRIANGLE, [[0, 1, 3]], "a vertex that does not exist"),
+        (TRIANGLE, [[0, 1, -1]], "a vertex that does not exist"),
+        (TRIANGLE, np.zeros((0, 3)), "is empty"),
+        (np.zeros((0, 3)), np.zeros((0, 3)), "is empty"),
+        (TRIANGLE[:, :2], [[0, 1, 2]], "expected vertices (n, 3)"),
+        (TRIANGLE, [0, 1, 2], "expected vertices (n, 3)"),
+        (TRIANGLE, [[0, 1, 1], [0, 0, 0]], "every triangle has zero area"),
+        (TRIANGLE * 200, [[0, 1, 2]], "200 m long"),
+    ],
+)
+def test_arrays_that_are_no_surface(vertices, faces, message):
+    with pytest.raises(SonarjaxError) as caught:
+        Mesh.from_arrays(vertices, faces, name="thing")
+    assert str(caught.value).startswith("thing: ")
+    assert message in str(caught.value)
+
+
+def test_degenerate_triangles_are_dropped():
+    box = trimesh.creation.box((0.2, 0.1, 0.1))
+    faces = np.concatenate([box.faces, [[0, 0, 1], [2, 2, 2]]])
+    mesh = Mesh.from_arrays(box.vertices, faces)
+    assert mesh.closed
+    assert np.count_nonzero(surface(mesh).area_faces) == 12
+
+
+def test_a_vertex_that_no_triangle_uses_changes_nothing():
+    box = trimesh.creation.box((0.2, 0.1, 0.1))
+    mesh = Mesh.from_arrays(np.concatenate([box.vertices, [[500.0, 0, 0]]]), box.faces)
+    assert mesh.radius < 0.2
+    assert np.abs(mesh.vertices).max() < 0.2
+
+
+def test_watertight_or_not():
+    box = trimesh.creation.box((0.2, 0.1, 0.1))
+    assert Mesh.from_arrays(box.vertices, box.faces).closed
+    assert not Mesh.from_arrays(box.vertices, box.faces[:-1]).closed
+    assert not Mesh.from_arrays(TRIANGLE, [[0, 1, 2]]).closed
+
+
+def test_normals_of_every_closed_body_point_out():
+    mixed = trimesh.creation.icosphere(2, 0.1)
+    mixed.faces[::3] = mixed.faces[::3, ::-1]  # a third of the triangles wound the wrong way
+    assert surface(Mesh.from_arrays(mixed.vertices, mixed.faces)).volume == pytest.approx(4.0e-3, rel=0.06)
+    boxes = two_boxes()
+    mesh = Mesh.from_arrays(boxes.vertices, boxes.faces)
+    assert mesh.closed
+    assert surface(mesh).volume == pytest.approx(2e-3 + 3e-3, rel=1e-5)
+
+
+@pytest.mark.parametrize("count", [1, 7, 8, 9, 12, 13, 50, 300])
+def test_padding_keeps_the_surface(count):
+    rng = np.random.default_rng(count)
+    soup = trimesh.Trimesh(rng.uniform(-0.5, 0.5, (3 * count, 3)), np.arange(3 * count).reshape(-1, 3), process=False)
+    mesh = Mesh.from_arrays(soup.vertices, soup.faces)
+    padded = surface(mesh)
+    assert count <= mesh.n_faces <= max(8, 2 * count)
+    assert padded.area == pytest.approx(soup.area, rel=1e-5)
+    np.testing.assert_allclose(padded.bounds, soup.bounds, atol=1e-6)
+    assert 0 <= padded.faces.min() <= padded.faces.max() < len(padded.vertices)
+    np.testing.assert_allclose(padded.area_faces[:count], soup.area_faces, rtol=1e-4, atol=1e-7)
+    assert not padded.area_faces[count:].any()
+
+
+def test_creases_are_the_sharp_edges():
+    box = objects.brick()
+    assert set(np.asarray(box.crease).tolist()) == set(range(8))
+    ball = objects.ball()
+    assert set(np.asarray(ball.crease).tolist()) == {0}  # smooth: padding only
+    rims = {int(i) for i in objects.concrete_cylinder().crease}
+    heights = np.asarray(objects.concrete_cylinder().vertices)[sorted(rims), 2]
+    assert np.all(np.isclose(heights, 0.0) | np.isclose(heights, 0.15))
+
+
+# The pytree
+
+
+def test_only_the_vertices_are_differentiated():
+    mesh = objects.target()
+    floats = [leaf for leaf in jax.tree.leaves(mesh) if jnp.issubdtype(leaf.dtype, jnp.floating)]
+    assert len(floats) == 1
+    assert floats[0].shape == mesh.vertices.shape
+    assert mesh.with_vertices(2 * mesh.vertices).vertices[0, 0] == 2 * mesh.vertices[0, 0]
+    assert mesh.with_vertices(mesh.vertices).faces is mesh.faces
+
+
+def test_meshes_of_like_size_share_compiled_code():
+    traced = []
+
+    @jax.jit
+    def total(mesh):
+        traced.append(mesh.n_faces)
+        return mesh.vertices.sum()
+
+    total(objects.brick())
+    total(objects.brick(0.185, 0.088, 0.055))
+    assert len(traced) == 1
+
+
+# The bound on crossings
+
+
+def brute_force_crossings(mesh, planes, rng):
+    """Most triangles (front faces only where closed) that random vertical half-planes from a sonar cross."""
+    corners = np.asarray(mesh.vertices, np.float64)[np.asarray(mesh.faces)]  # (face, corner, 3)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    corners, normals = corners[np.any(normals != 0, axis=1)], normals[np.any(normals != 0, axis=1)]
+    most = 0
+    for _ in range(planes):
+        bearing, distance = rng.uniform(0, 2 * math.pi), rng.uniform(1.5, 4.0)
+        sonar = distance * np.array([math.cos(bearing), math.sin(bearing), 0]) + [0, 0, rng.uniform(0.1, 1.5)]
+        aim = rng.uniform(-mesh.radius, mesh.radius, 2) - sonar[:2]
+        sides = (corners[..., :2] - sonar[:2]) @ np.array([-aim[1], aim[0]])  # (face, corner)
+        crossed = (sides.min(axis=1) <= 0) & (sides.max(axis=1) >= 0)
+        front = np.einsum("fk,fk->f", normals, sonar - corners[:, 0]) > 0
+        most = max(most, int(np.sum(crossed & front if mesh.closed else crossed)))
+    return most
+
+
+def soup(count=200):
+    vertices = np.random.default_rng(5).uniform(-0.3, 0.3, (3 * count, 3))
+    return Mesh.from_arrays(vertices, np.arange(3 * count).reshape(-1, 3))
+
+
+def fine_ball():
+    sphere = trimesh.creation.icosphere(4, 0.2)
+    return Mesh.from_arrays(sphere.vertices, sphere.faces)
+
+
+@pytest.mark.parametrize(
+    "build",
+    [objects.brick, objects.target, objects.non_target, objects.concrete_cylinder, objects.ball, soup, fine_ball],
+)
+def test_no_vertical_plane_crosses_more_triangles_than_promised(build):
+    mesh = build()
+    most = brute_force_crossings(mesh, 3000, np.random.default_rng(0))
+    assert 0 < most <= mesh.crossings <= mesh.n_faces
+    assert mesh.crossings <= max(8, 3 * most)  # a bound worth having
+
+
+@pytest.mark.skipif(not PIPE.exists(), reason="the real frames are not here")
+def test_the_real_mesh():
+    mesh = Mesh.load(PIPE)
+    assert surface(mesh).area == pytest.approx(trimesh.load(PIPE).area, rel=1e-4)
+    assert brute_force_crossings(mesh, 1000, np.random.default_rng(0)) <= mesh.crossings
