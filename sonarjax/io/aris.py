@@ -16,12 +16,33 @@ from typing import Any
 
 from sonarjax.io.aris_beams import ARIS_1200, ARIS_1800, ARIS_3000, aris_azimuth_deg
 from sonarjax.io.frame import Frame, Geometry
-from sonarjax.io.header import RANGE_LIMIT_M, Header, angles
+from sonarjax.io.header import RANGE_LIMIT_M, Fields, Header, angles
 from sonarjax.io.naming import frame_numbers, named
 
 SIGNATURE = 0x05464444
 HEADER_BYTES = 1024
 MAX_SAMPLES = 65536
+FRAME_FIELDS: Fields = {
+    "FrameIndex": (0, "I"),
+    "FrameTime": (4, "Q"),
+    "Version": (12, "I"),
+    "WindowStart": (52, "f"),
+    "WindowLength": (56, "f"),
+    "CompassHeading": (160, "f"),
+    "SonarPan": (244, "f"),
+    "SonarTilt": (248, "f"),
+    "SonarRoll": (252, "f"),
+    "PingMode": (436, "I"),
+    "FrequencyHiLow": (440, "I"),
+    "SamplePeriod": (452, "I"),
+    "SoundSpeed": (464, "f"),
+    "SamplesPerBeam": (468, "I"),
+    "SampleStartDelay": (476, "I"),
+    "LargeLens": (480, "I"),
+    "SystemType": (484, "I"),
+    "ReorderedSamples": (516, "I"),
+}
+"""What is read of a frame header; times in microseconds, lengths in metres, angles in degrees."""
 SYSTEMS = {ARIS_1800: "ARIS 1800", ARIS_3000: "ARIS 3000", ARIS_1200: "ARIS 1200"}
 FREQUENCIES_HZ = {ARIS_1800: (1.1e6, 1.8e6), ARIS_3000: (1.8e6, 3.0e6), ARIS_1200: (0.7e6, 1.2e6)}
 """SystemType -> frequency at FrequencyHiLow 0 and 1 [Hz]."""
@@ -54,15 +75,15 @@ def aris_layout(data: bytes, name: str) -> ArisLayout:
 
     Raises SonarjaxError when the signature, PingMode or SamplesPerBeam is wrong or no frame is complete.
     """
-    _check_signature(Header(data, name), 0)
-    n_ranges, n_beams = _size(_frame_header(data, name, 0, 0))
+    file = Header(data, name)
+    _check_signature(file, file.unpack("I", 0, "signature")[0])
+    first = Header(data, name, HEADER_BYTES, "frame 0")
+    n_ranges, n_beams = _size(first, first.fields(FRAME_FIELDS, HEADER_BYTES))
     frame_bytes = HEADER_BYTES + n_ranges * n_beams
     n_frames, rest = divmod(len(data) - HEADER_BYTES, frame_bytes)
     if n_frames == 0:
         wanted = HEADER_BYTES + frame_bytes
-        raise Header(data, name, part="frame 0").error(
-            "samples", f"truncated: expected {wanted} bytes or more, the file has {len(data)}"
-        )
+        raise first.error("samples", f"truncated: expected {wanted} bytes or more, the file has {len(data)}")
     return ArisLayout(n_ranges, n_beams, n_frames, rest)
 
 
@@ -78,38 +99,35 @@ def parse_aris(data: bytes, name: str, index: int | None = None) -> Iterator[Fra
 
 
 def _read(data: bytes, name: str, layout: ArisLayout, number: int) -> Frame:
-    header = _frame_header(data, name, number, layout.frame_bytes)
-    _check_signature(header, 12)
-    if _size(header) != (layout.n_ranges, layout.n_beams):
+    header = Header(data, name, HEADER_BYTES + number * layout.frame_bytes, f"frame {number}")
+    fields = header.fields(FRAME_FIELDS, HEADER_BYTES)
+    _check_signature(header, fields["Version"])
+    if _size(header, fields) != (layout.n_ranges, layout.n_beams):
         raise header.error("SamplesPerBeam, PingMode", f"expected {layout.n_ranges} x {layout.n_beams} as in frame 0")
     image = header.pixels(HEADER_BYTES, layout.n_ranges, layout.n_beams)
-    return named(image, name, number, layout.n_frames, _geometry(header, layout), _meta(header, layout))
+    meta = _meta(fields) | {"unfinished_bytes": layout.rest}
+    return named(image, name, number, layout.n_frames, _geometry(header, fields, layout), meta)
 
 
-def _frame_header(data: bytes, name: str, number: int, frame_bytes: int) -> Header:
-    return Header(data, name, HEADER_BYTES + number * frame_bytes, f"frame {number}")
-
-
-def _check_signature(header: Header, offset: int) -> None:
-    found = header.u32(offset, "signature")
+def _check_signature(header: Header, found: int) -> None:
     if found != SIGNATURE:
         raise header.error("signature", f"expected 0x{SIGNATURE:08x} (ARIS, DDF_05), got 0x{found:08x}")
 
 
-def _size(header: Header) -> tuple[int, int]:
-    mode = header.u32(436, "PingMode")
+def _size(header: Header, fields: dict[str, Any]) -> tuple[int, int]:
+    mode = fields["PingMode"]
     if not beam_count(mode):
         raise header.error("PingMode", f"expected 1 to 12, got {mode}")
-    return header.count(header.u32(468, "SamplesPerBeam"), "SamplesPerBeam", MAX_SAMPLES), beam_count(mode)
+    return header.count(fields["SamplesPerBeam"], "SamplesPerBeam", MAX_SAMPLES), beam_count(mode)
 
 
-def _geometry(header: Header, layout: ArisLayout) -> Geometry | None:
-    sound_speed = header.quantity(header.f32(464, "SoundSpeed"), "SoundSpeed", 1000.0, 2000.0, "m/s")
+def _geometry(header: Header, fields: dict[str, Any], layout: ArisLayout) -> Geometry | None:
+    sound_speed = header.quantity(fields["SoundSpeed"], "SoundSpeed", 1000.0, 2000.0, "m/s")
     metres = 1e-6 * sound_speed / 2  # a microsecond of two-way travel
-    start = header.u32(476, "SampleStartDelay") * metres
-    period = header.count(header.u32(452, "SamplePeriod"), "SamplePeriod", 10**6)
+    start = fields["SampleStartDelay"] * metres
+    period = header.count(fields["SamplePeriod"], "SamplePeriod", 10**6)
     stop = header.quantity(start + period * layout.n_ranges * metres, "range window", 0.0, RANGE_LIMIT_M, "m")
-    system, lens = header.u32(484, "SystemType"), header.u32(480, "LargeLens") != 0
+    system, lens = fields["SystemType"], fields["LargeLens"] != 0
     azimuth = aris_azimuth_deg(system, layout.n_beams, lens)
     if azimuth is None:
         return None  # the image can still be used with a sonar.toml
@@ -119,26 +137,24 @@ def _geometry(header: Header, layout: ArisLayout) -> Geometry | None:
         "range_max_m": stop,
         "n_ranges": layout.n_ranges,
         "sound_speed_m_s": sound_speed,
-        "frequency_hz": FREQUENCIES_HZ[system][header.u32(440, "FrequencyHiLow") != 0],
+        "frequency_hz": FREQUENCIES_HZ[system][fields["FrequencyHiLow"] != 0],
     }
     if not lens:
         geometry["elevation_aperture_deg"] = 14.0
-    return geometry | angles(-header.f32(248, "SonarTilt"), header.f32(252, "SonarRoll"))
+    return geometry | angles(-fields["SonarTilt"], fields["SonarRoll"])
 
 
-def _meta(header: Header, layout: ArisLayout) -> dict[str, Any]:
-    system = header.u32(484, "SystemType")
+def _meta(fields: dict[str, Any]) -> dict[str, Any]:
     return {
         "format": "ARIS (DDF_05)",
         "stored_scale": "u8, 0 to 255 is 0 to 80 dB",
-        "device": SYSTEMS.get(system, f"unknown SystemType {system}"),
-        "large_lens": header.u32(480, "LargeLens") != 0,
-        "ping_mode": header.u32(436, "PingMode"),
-        "recorded_index": header.u32(0, "FrameIndex"),
-        "time_us": int(header.unpack("Q", 4, "FrameTime")[0]),
-        "header_window_m": [header.f32(52, "WindowStart"), header.f32(56, "WindowLength")],
-        "compass_heading_deg": header.f32(160, "CompassHeading"),
-        "pan_deg": header.f32(244, "SonarPan"),
-        "samples_reordered": header.u32(516, "ReorderedSamples") != 0,
-        "unfinished_bytes": layout.rest,
+        "device": SYSTEMS.get(fields["SystemType"], f"unknown SystemType {fields['SystemType']}"),
+        "large_lens": fields["LargeLens"] != 0,
+        "ping_mode": fields["PingMode"],
+        "recorded_index": fields["FrameIndex"],
+        "time_us": fields["FrameTime"],
+        "header_window_m": [fields["WindowStart"], fields["WindowLength"]],
+        "compass_heading_deg": fields["CompassHeading"],
+        "pan_deg": fields["SonarPan"],
+        "samples_reordered": fields["ReorderedSamples"] != 0,
     }

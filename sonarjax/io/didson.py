@@ -21,10 +21,28 @@ import numpy as np
 from jaxtyping import Float64
 
 from sonarjax.io.frame import Frame, Geometry
-from sonarjax.io.header import Header, angles
+from sonarjax.io.header import Fields, Header, angles
 from sonarjax.io.naming import frame_numbers, named
 
 Lengths = tuple[float, ...]
+
+FILE_FIELDS: Fields = {
+    "resolution": (12, "i"),
+    "numbeams": (16, "i"),
+    "samples": (24, "i"),
+    "reverse": (40, "i"),
+    "serial": (44, "i"),
+}
+"""What is read of the file header."""
+FRAME_FIELDS: Fields = {
+    "window start": (52, "i"),
+    "window length": (56, "i"),
+    "pan": (160, "f"),
+    "tilt": (164, "f"),
+    "roll": (168, "f"),
+    "configflags": (192, "I"),
+}
+"""What is read of a frame header: codes, and angles in degrees."""
 
 
 @dataclass(frozen=True)
@@ -110,18 +128,19 @@ def didson_file(data: bytes, name: str, tables: DidsonTables = DIDSON_TABLES) ->
     signature = header.unpack("3sB", 0, "signature")
     if signature[0] != b"DDF" or signature[1] not in (3, 4):
         raise header.error("signature", f"expected DDF_03 or DDF_04, got {bytes(data[:4])!r}")
-    version, n_beams = int(signature[1]), header.u32(16, "numbeams")
+    fields = header.fields(FILE_FIELDS, 48)
+    version, n_beams = int(signature[1]), fields["numbeams"]
     if n_beams not in (48, 96):
         raise header.error("numbeams", f"expected 48 or 96, got {n_beams}")
-    n_ranges = header.count(header.u32(24, "samples") or 512, "samples", 65536)
+    n_ranges = header.count(fields["samples"] or 512, "samples", 65536)
     frame_header = tables.frame_header_bytes[version]
     return DidsonFile(
         version=version,
-        high_frequency=header.u32(12, "resolution") != 0,
+        high_frequency=fields["resolution"] != 0,
         n_beams=n_beams,
         n_ranges=n_ranges,
-        reverse=header.u32(40, "reverse") != 0,
-        serial=header.u32(44, "serial number"),
+        reverse=fields["reverse"] != 0,
+        serial=fields["serial"],
         header_bytes=_file_header_bytes(data, tables.file_header_bytes[version], frame_header + n_ranges * n_beams),
         frame_header_bytes=frame_header,
     )
@@ -138,23 +157,25 @@ def _read(data: bytes, name: str, file: DidsonFile, n_frames: int, number: int, 
     image = header.pixels(file.frame_header_bytes, file.n_ranges, file.n_beams)
     if file.reverse:
         image = np.ascontiguousarray(image[:, ::-1])
-    return named(image, name, number, n_frames, _geometry(header, file, tables), _meta(header, file))
+    fields = header.fields(FRAME_FIELDS, file.frame_header_bytes)
+    geometry = _geometry(header, fields, file, tables)
+    return named(image, name, number, n_frames, geometry, _meta(header, fields, file))
 
 
-def _window(header: Header, file: DidsonFile, tables: DidsonTables) -> tuple[float, float]:
-    flags, low = header.u32(192, "configflags"), not file.high_frequency
-    start_code = header.i32(52, "window start")
+def _window(header: Header, fields: dict[str, Any], file: DidsonFile, tables: DidsonTables) -> tuple[float, float]:
+    flags, low = fields["configflags"], not file.high_frequency
+    start_code = fields["window start"]
     if not 0 <= start_code <= 1000:
         raise header.error("window start", f"expected a code of 0 to 1000, got {start_code}")
-    lengths, code = tables.lengths_m[flags & 3], header.i32(56, "window length")
+    lengths, code = tables.lengths_m[flags & 3], fields["window length"]
     if not 0 <= code + 2 * low < len(lengths):
         raise header.error("window length", f"expected a code of 0 to {len(lengths) - 1 - 2 * low}, got {code}")
     return start_code * tables.start_step_m[flags & 1] * (1 + low), lengths[code + 2 * low]
 
 
-def _geometry(header: Header, file: DidsonFile, tables: DidsonTables) -> Geometry:
-    start, length = _window(header, file, tables)
-    long_range = bool(header.u32(192, "configflags") & 2)
+def _geometry(header: Header, fields: dict[str, Any], file: DidsonFile, tables: DidsonTables) -> Geometry:
+    start, length = _window(header, fields, file, tables)
+    long_range = bool(fields["configflags"] & 2)
     return {
         "azimuth_deg": didson_azimuth_deg(file.n_beams, tables).tolist(),
         "range_min_m": start,
@@ -162,10 +183,10 @@ def _geometry(header: Header, file: DidsonFile, tables: DidsonTables) -> Geometr
         "n_ranges": file.n_ranges,
         "frequency_hz": tables.frequencies_hz[long_range][file.high_frequency],
         "elevation_aperture_deg": 14.0,
-    } | angles(-header.f32(164, "sonar tilt"), header.f32(168, "sonar roll"))
+    } | angles(-fields["tilt"], fields["roll"])
 
 
-def _meta(header: Header, file: DidsonFile) -> dict[str, Any]:
+def _meta(header: Header, fields: dict[str, Any], file: DidsonFile) -> dict[str, Any]:
     year, month, day, hour, minute, second, hundredth = header.unpack("7i", 20, "date and time")
     return {
         "format": f"DIDSON (DDF_0{file.version}, read without a real file to check against)",
@@ -174,6 +195,6 @@ def _meta(header: Header, file: DidsonFile) -> dict[str, Any]:
         "serial": file.serial,
         "reverse": file.reverse,
         "time": f"{year:04d}-{month:02d}-{day:02d} {hour:02d}:{minute:02d}:{second:02d}.{hundredth:02d}",
-        "configflags": header.u32(192, "configflags"),
-        "pan_deg": header.f32(160, "sonar pan"),
+        "configflags": fields["configflags"],
+        "pan_deg": fields["pan"],
     }

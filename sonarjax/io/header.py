@@ -5,11 +5,15 @@ from __future__ import annotations
 import math
 import struct
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float32
 
 from sonarjax.io.errors import SonarjaxError
+
+Fields = dict[str, tuple[int, str]]
+"""Field name -> (offset [bytes], struct code)."""
 
 
 @dataclass(frozen=True)
@@ -32,17 +36,14 @@ class Header:
             raise self.error(field, f"truncated: expected {start + size} bytes or more, the file has {len(self.data)}")
         return struct.unpack_from("<" + layout, self.data, start)
 
-    def u32(self, offset: int, field: str) -> int:
-        """An unsigned 32-bit integer."""
-        return int(self.unpack("I", offset, field)[0])
-
-    def i32(self, offset: int, field: str) -> int:
-        """A signed 32-bit integer."""
-        return int(self.unpack("i", offset, field)[0])
-
-    def f32(self, offset: int, field: str) -> float:
-        """A 32-bit float, perhaps not finite."""
-        return float(self.unpack("f", offset, field)[0])
+    def fields(self, table: Fields, size: int) -> dict[str, Any]:
+        """Every field of `table` in a header of `size` bytes. Raises SonarjaxError when the file ends inside it."""
+        if self.base + size > len(self.data):
+            raise self.error("header", f"truncated: expected {self.base + size} bytes, the file has {len(self.data)}")
+        return {
+            name: struct.unpack_from("<" + code, self.data, self.base + offset)[0]
+            for name, (offset, code) in table.items()
+        }
 
     def count(self, value: int, field: str, largest: int) -> int:
         """`value` if it lies in 1 … `largest`, else SonarjaxError."""
