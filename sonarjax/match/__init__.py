@@ -1,1 +1,31 @@
+"""Template matching (§2.3): eq. 4 for every yaw bin of a bank at once, eq. 5's decision and the hypotheses over yaw.
 
+Takes a frame or semantic map (range, beam) and a bank of templates (yaw, h, w); returns scores (yaw,), positions and
+records. Imports nothing of the package but its error.
+"""
+
+from sonarjax.match.decision import Decision, Peaks, decide, peaks
+from sonarjax.match.ncc import (
+    MatchPositions,
+    PreparedBank,
+    correlation_maps,
+    match_bank,
+    match_positions,
+    prepare_bank,
+)
+from sonarjax.match.spectra import TemplateSpectra, template_spectra
+
+__all__ = [
+    "Decision",
+    "MatchPositions",
+    "Peaks",
+    "PreparedBank",
+    "TemplateSpectra",
+    "correlation_maps",
+    "decide",
+    "match_bank",
+    "match_positions",
+    "peaks",
+    "prepare_bank",
+    "template_spectra",
+]

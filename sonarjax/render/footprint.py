@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from sonarjax.render.slices import GAUSS
 
@@ -14,18 +15,38 @@ def swept(at_low: Float[Array, "*batch"], at_high: Float[Array, "*batch"]) -> tu
 
 
 def covered(
-    near: tuple[Array, Array], far: tuple[Array, Array], edges: Float[Array, "edge"]
-) -> Float[Array, "*batch range"]:
-    """Share of each bin between range `edges` (edge,) [bins] covered by [near, far], each (middle, half-sweep) [bins].
+    near: tuple[Array, Array], far: tuple[Array, Array], present: Bool[Array, "slab item"], edges: Float[Array, "edge"]
+) -> Float[Array, "slab range"]:
+    """Sum over items of the share of each bin that [near, far] covers; each end is (middle, half-sweep) in bins.
 
-    Exact for ends that move linearly across the slab: the mean of the clipped overlap over the sweep.
+    `edges` (edge,) are the bins' edges in bins, `present` says which items count. Exact for ends that move linearly
+    across the slab: the mean of the clipped overlap over the sweep.
     """
-    return jnp.diff(_ramp(near, edges) - _ramp(far, edges), axis=-1)
+    ramps = ramp(near[0], near[1], edges) - ramp(far[0], far[1], edges)
+    return jnp.diff(jnp.where(present[..., None], ramps, 0.0).sum(axis=1), axis=-1)
 
 
-def _ramp(end: tuple[Array, Array], edges: Array) -> Array:
-    """Mean over the sweep of max(0, edge − end): zero, then a parabola over the sweep, then a straight line."""
-    middle, half = end[0][..., None], jnp.maximum(jnp.abs(end[1]), 1e-3)[..., None]
-    ahead = edges - middle
+@jax.custom_jvp
+def ramp(
+    middle: Float[Array, "slab item"], half: Float[Array, "slab item"], edges: Float[Array, "edge"]
+) -> Float[Array, "slab item edge"]:
+    """Mean of max(0, edge − end) over an end's sweep, middle ± half [bins]: zero, a parabola, then a straight line."""
+    half = _at_least(half)
+    ahead = edges - middle[..., None]
     inside = jnp.clip(ahead, -half, half)
     return (inside + half) ** 2 / (4 * half) + jnp.maximum(ahead - half, 0.0)
+
+
+@ramp.defjvp
+def _ramp_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
+    """By hand, because autodiff keeps every intermediate of this largest array of the renderer (half the time)."""
+    middle, half, edges = primals
+    width = _at_least(half)
+    passed = jnp.clip((edges - middle[..., None] + width) / (2 * width), 0.0, 1.0)
+    d_half = (passed - passed * passed) * jnp.sign(half)[..., None]
+    tangent = -passed * tangents[0][..., None] + d_half * tangents[1][..., None]
+    return ramp(middle, half, edges), tangent
+
+
+def _at_least(half: Float[Array, "slab item"], least: float = 1e-3) -> Float[Array, "slab item 1"]:
+    return jnp.maximum(jnp.abs(half), least)[..., None]

@@ -139,11 +139,13 @@ def _ends(
         return jnp.where(upper_end, high, low)
 
     winner = jnp.take_along_axis(pieces.winner, piece, axis=1)
-    source = jnp.maximum(at(pieces.source), 0)
-    edges = _of_candidate(segments.edge, source)
-    edge = jnp.where(at(pieces.side) == 1, edges[..., 1], edges[..., 0])
+    end, how = jnp.maximum(at(pieces.end), 0), at(pieces.how)
+    slabs = len(end)
+    kind = jnp.take_along_axis(segments.kind.reshape(slabs, -1), end, axis=1)
+    edge = jnp.take_along_axis(segments.edge.reshape(slabs, -1), end, axis=1)
     surface = jnp.where(any_item, jnp.take_along_axis(table, jnp.maximum(winner, 0), axis=1), -1)
-    return Ends(surface, jnp.take_along_axis(table, source, axis=1), at(pieces.kind), edge, at(pieces.tau), foot)
+    source = jnp.take_along_axis(table, end // 2, axis=1)
+    return Ends(surface, source, jnp.where(how == EDGE, kind, how), edge, at(pieces.tau), foot)
 
 
 def all_ends(pieces: Pieces, segments: Segments, table: Int[Array, "slab candidate"]) -> tuple[Ends, Ends]:

@@ -132,9 +132,9 @@ def _highlight(
         middle, half = (low + high) / 2, jnp.maximum(high - low, pulse) / 2
         near.append(middle - half)
         far.append(middle + half)
-    share = covered(swept(*near), swept(*far), jnp.arange(len(edges), dtype=jnp.float32))
-    share = jnp.where((outline.near.surface >= 0)[..., None], share, 0.0)
-    return _per_beam(slabs, jnp.minimum(share.sum(axis=1), 1.0))
+    bins = jnp.arange(len(edges), dtype=jnp.float32)
+    share = covered(swept(*near), swept(*far), outline.near.surface >= 0, bins)
+    return _per_beam(slabs, jnp.clip(share, 0.0, 1.0))
 
 
 def _shadow(
@@ -148,6 +148,6 @@ def _shadow(
         start, stop = patch_span(azimuth, scene, sonar)
         near.append((jnp.clip(low, start, stop) - first) / step)
         far.append((jnp.clip(high, start, stop) - first) / step)
-    share = covered(swept(*near), swept(*far), jnp.arange(len(edges), dtype=jnp.float32))
-    share = jnp.where((outline.lower.surface >= 0)[..., None], share, 0.0)
-    return jnp.clip(_per_beam(slabs, share.sum(axis=1)), 0.0, 1.0)
+    bins = jnp.arange(len(edges), dtype=jnp.float32)
+    share = covered(swept(*near), swept(*far), outline.lower.surface >= 0, bins)
+    return _per_beam(slabs, jnp.clip(share, 0.0, 1.0))

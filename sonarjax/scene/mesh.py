@@ -210,12 +210,12 @@ def _crossings(vertices: np.ndarray, faces: np.ndarray, closed: bool, views: int
             seen = normals @ (math.cos(down) * along + np.array([0, 0, -math.sin(down)])) < 0
             spans = triangles[seen if closed else slice(None)] @ across
             worst = max(worst, _deepest_overlap(spans.min(axis=1), spans.max(axis=1)))
-    return min(_bucket(math.ceil(worst * 1.15)), _bucket(len(faces)))
+    return min(-(-math.ceil(worst * 1.15) // 4) * 4 if worst < 64 else _bucket(math.ceil(worst * 1.15)), _bucket(len(faces)))
 
 
 def _deepest_overlap(starts: np.ndarray, ends: np.ndarray) -> int:
-    """Largest number of intervals [start, end] that share a point."""
+    """Largest number of open intervals (start, end) that share a point."""
     points = np.concatenate([starts, ends])
     steps = np.concatenate([np.ones(len(starts)), -np.ones(len(ends))])
-    order = np.lexsort((-steps, points))
+    order = np.lexsort((steps, points))  # at a shared corner the old one ends before the new one starts
     return int(np.cumsum(steps[order]).max(initial=0))

@@ -1,0 +1,116 @@
+"""Eq. 4 over the measured pixels only: masked normalised cross-correlation (Padfield 2012).
+
+Mean and norm of window *and* template are taken over the pixels of the window that were measured, so that the unmeasured
+rest of a frame (NaN, black corner, blanked near range) neither helps nor hurts.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Complex, Float
+
+from sonarjax.match.spectra import correlate, frame_spectrum, inverse_root
+from sonarjax.match.windows import window_moments
+
+NEAR_CONSTANT = 1e-6
+"""A window whose energy is below this share of the frame's energy is constant: it scores 0."""
+LOST_TEMPLATE = 1e-4
+"""A template that keeps less than this share of its energy over the measured pixels scores 0 there."""
+MIN_VALID = 0.3
+"""Share of a template's pixels that must be measured under it, else it scores 0."""
+
+
+class MaskedFrame(NamedTuple):
+    """What masked matching needs of a frame, whatever the template."""
+
+    signal: Complex[Array, "range beam"]
+    """Spectrum of the centred frame, 0 where it was not measured."""
+    valid: Complex[Array, "range beam"]
+    """Spectrum of the mask."""
+    mean: Float[Array, "row col"]
+    """Mean of the measured pixels of each window, relative to the frame's own mean."""
+    count: Float[Array, "row col"]
+    """Measured pixels of each window, at least 1."""
+    scale: Float[Array, "row col"]
+    """1/√energy of each window; 0 where it is near-constant or has too few measured pixels."""
+
+
+def masked_frame(
+    image: Float[Array, "range beam"], mask: Bool[Array, "range beam"], window: tuple[int, int], min_valid: float
+) -> MaskedFrame:
+    """Spectra and window moments of `image` where `mask` is true, for windows (height, width) [pixels]."""
+    centred = masked_centre(image, mask)
+    moments = window_moments(centred, window, mask)
+    enough = moments.count >= min_valid * window[0] * window[1]
+    scale = jnp.where(enough, inverse_root(moments.energy, NEAR_CONSTANT * jnp.sum(jnp.square(centred))), 0.0)
+    count = jnp.maximum(moments.count, 1.0)
+    return MaskedFrame(
+        frame_spectrum(centred), frame_spectrum(mask.astype(image.dtype)), moments.mean, count, scale
+    )
+
+
+def masked_centre(image: Float[Array, "range beam"], mask: Bool[Array, "range beam"]) -> Float[Array, "range beam"]:
+    """`image` minus the mean of its measured pixels, 0 elsewhere; what stands there may be NaN."""
+    known = jnp.where(mask, image, 0.0)
+    return jnp.where(mask, known - jnp.sum(known) / jnp.maximum(jnp.sum(mask), 1), 0.0)
+
+
+def masked_maps(
+    frame: MaskedFrame, planes: Complex[Array, "pair range beam"], squares: Complex[Array, "pair range beam"]
+) -> Float[Array, "pair two row col"]:
+    """Masked eq. 4 at all window positions for pairs of unit templates (`planes`) and their squares."""
+    shape = (frame.mean.shape[0], frame.mean.shape[1])
+    total = correlate(frame.valid, planes, shape)  # Σ T over measured pixels
+    energy = correlate(frame.valid, squares, shape) - jnp.square(total) / frame.count
+    product = correlate(frame.signal, planes, shape) - frame.mean * total
+    return product * frame.scale * inverse_root(energy, LOST_TEMPLATE)
+
+
+class WeightedFrame(NamedTuple):
+    """Spectra of a frame for templates that have a mask of their own."""
+
+    signal: Complex[Array, "range beam"]
+    """Spectrum of the centred frame, 0 where it was not measured."""
+    square: Complex[Array, "range beam"]
+    """Spectrum of its square."""
+    valid: Complex[Array, "range beam"]
+    """Spectrum of the mask."""
+    energy: Float[Array, ""]
+    """Sum of the squared centred frame."""
+
+
+def weighted_frame(image: Float[Array, "range beam"], mask: Bool[Array, "range beam"]) -> WeightedFrame:
+    """Spectra of `image` where `mask` is true."""
+    centred = masked_centre(image, mask)
+    square = jnp.square(centred)
+    return WeightedFrame(
+        frame_spectrum(centred), frame_spectrum(square), frame_spectrum(mask.astype(image.dtype)), jnp.sum(square)
+    )
+
+
+def weighted_maps(
+    frame: WeightedFrame,
+    planes: Complex[Array, "pair range beam"],
+    squares: Complex[Array, "pair range beam"],
+    weights: Complex[Array, "pair range beam"],
+    pixels: Float[Array, "pair two"],
+    map_shape: tuple[int, int],
+    min_valid: float,
+) -> Float[Array, "pair two row col"]:
+    """Masked eq. 4 where each template counts only under its own mask (`weights`, with `pixels` pixels in it).
+
+    The window moments differ from template to template here, so they are correlations too (six in all).
+    """
+    count = jnp.round(correlate(frame.valid, weights, map_shape))
+    safe = jnp.maximum(count, 1.0)
+    total = correlate(frame.valid, planes, map_shape)
+    template = correlate(frame.valid, squares, map_shape) - jnp.square(total) / safe
+    signal = correlate(frame.signal, weights, map_shape)
+    window = correlate(frame.square, weights, map_shape) - jnp.square(signal) / safe
+    product = correlate(frame.signal, planes, map_shape) - signal * total / safe
+    # this energy is a difference of sums: ten times the tolerance of `masked_maps`
+    scores = product * inverse_root(window, 10 * NEAR_CONSTANT * frame.energy) * inverse_root(template, LOST_TEMPLATE)
+    wanted = jnp.maximum(min_valid * pixels, 1.0)[..., None, None]
+    return jnp.where(count >= wanted, scores, 0.0)

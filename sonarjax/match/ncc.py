@@ -1,0 +1,200 @@
+"""Eq. 4: zero-mean normalised cross-correlation of a frame with every template of a bank over yaw.
+
+Takes a frame (range, beam) and a bank (`.templates` (yaw, h, w), or a plain array), returns scores (yaw,) in [−1, 1], the
+best window's corner, or the whole maps (yaw, row, col). Near-constant windows and templates score 0. Frames are finite
+where measured. A batch of frames is one `jax.vmap`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.match.masked import MIN_VALID, NEAR_CONSTANT, masked_frame, masked_maps, weighted_frame, weighted_maps
+from sonarjax.match.spectra import (
+    TemplateSpectra,
+    check_shapes,
+    correlate,
+    frame_spectrum,
+    inverse_root,
+    over_chunks,
+    pack,
+    template_spectra,
+    unit_templates,
+)
+from sonarjax.match.windows import window_moments
+
+
+class MatchPositions(NamedTuple):
+    """Where each template of a bank fits best."""
+
+    scores: Float[Array, " yaw"]
+    """Largest correlation over all window positions (eq. 4), −1 to 1."""
+    row: Int[Array, " yaw"]
+    """Range bin of the best window's first row."""
+    col: Int[Array, " yaw"]
+    """Beam of the best window's first column."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class PreparedBank:
+    """A bank with its spectra kept: matching many frames with it costs half."""
+
+    templates: Float[Array, "yaw h w"]
+    """The bank's templates."""
+    spectra: TemplateSpectra
+    """Their spectra for one frame shape."""
+
+
+def prepare_bank(bank: Any, image_shape: tuple[int, int], *, masked: bool = False) -> PreparedBank:
+    """`bank` (its `.templates` (yaw, h, w)) with spectra for frames of `image_shape` (range bins, beams).
+
+    `masked` keeps what matching with a mask needs too. Raises SonarjaxError where a template is larger than the frame.
+    """
+    templates = _templates(bank)
+    check_shapes(templates.shape, image_shape)
+    return PreparedBank(templates, _spectra(templates, (image_shape[0], image_shape[1]), masked))
+
+
+def match_bank(
+    image: Float[Array, "range beam"],
+    bank: Any,
+    mask: Bool[Array, "range beam"] | None = None,
+    *,
+    min_valid: float = MIN_VALID,
+    template_mask: Bool[Array, "yaw h w"] | None = None,
+) -> Float[Array, " yaw"]:
+    """Scores (yaw,) of eq. 4: the largest correlation of each template with `image` (range, beam), over all positions.
+
+    `bank` has `.templates` (yaw, h, w) and perhaps `.spectra` (`prepare_bank`). Only pixels where `mask` is true count,
+    and of a template those where `template_mask` is; a window with less than the share `min_valid` of the template's
+    pixels measured scores 0. Raises SonarjaxError where shapes do not fit.
+    """
+    return _match(image, bank, mask, template_mask, min_valid, _best_score)
+
+
+def match_positions(
+    image: Float[Array, "range beam"],
+    bank: Any,
+    mask: Bool[Array, "range beam"] | None = None,
+    *,
+    min_valid: float = MIN_VALID,
+    template_mask: Bool[Array, "yaw h w"] | None = None,
+) -> MatchPositions:
+    """Scores as `match_bank`, and the top-left corner (range bin, beam) of the window that reached each of them."""
+    return _match(image, bank, mask, template_mask, min_valid, _best_position)
+
+
+def correlation_maps(
+    image: Float[Array, "range beam"],
+    bank: Any,
+    mask: Bool[Array, "range beam"] | None = None,
+    *,
+    min_valid: float = MIN_VALID,
+    template_mask: Bool[Array, "yaw h w"] | None = None,
+) -> Float[Array, "yaw row col"]:
+    """Eq. 4 at every window position, (yaw, range − h + 1, beam − w + 1); arguments and errors as in `match_bank`."""
+    return _match(image, bank, mask, template_mask, min_valid, _whole_map)
+
+
+def _match(image: Any, bank: Any, mask: Any, template_mask: Any, min_valid: float, reduce: Callable[..., Any]) -> Any:
+    image, templates = jnp.asarray(image, jnp.float32), _templates(bank)
+    shape = tuple(image.shape)
+    check_shapes(templates.shape, shape)
+    if template_mask is not None:
+        template_mask = _as_mask("template_mask", template_mask, tuple(templates.shape))
+        valid = jnp.ones(shape, bool) if mask is None else _as_mask("mask", mask, shape)
+        return _match_weighted(image, templates, valid, template_mask, min_valid, reduce)
+    spectra = getattr(bank, "spectra", None)
+    if spectra is None or spectra.image_shape != shape or (mask is not None and spectra.squares is None):
+        spectra = _spectra(templates, shape, mask is not None)
+    if mask is None:
+        return _match_plain(image, spectra, reduce)
+    return _match_masked(image, spectra, _as_mask("mask", mask, shape), min_valid, reduce)
+
+
+def _templates(bank: Any) -> Array:
+    return jnp.asarray(getattr(bank, "templates", bank), jnp.float32)
+
+
+def _as_mask(name: str, mask: Any, shape: tuple[int, ...]) -> Array:
+    mask = jnp.asarray(mask)
+    if mask.shape != shape:
+        raise SonarjaxError(f"{name}: expected shape {shape}, got {mask.shape}")
+    return mask.astype(bool)
+
+
+@partial(jax.jit, static_argnums=(1, 2))
+def _spectra(templates: Array, image_shape: tuple[int, int], masked: bool) -> TemplateSpectra:
+    return template_spectra(templates, image_shape, masked=masked)
+
+
+@partial(jax.jit, static_argnums=2)
+def _match_plain(image: Array, spectra: TemplateSpectra, reduce: Callable[..., Any]) -> Any:
+    centred = image - jnp.mean(image)  # the mean cancels in eq. 4, but its size would cost float32 digits
+    energy = window_moments(centred, spectra.template_shape).energy
+    scale = inverse_root(energy, NEAR_CONSTANT * jnp.sum(jnp.square(centred)))
+    frame = frame_spectrum(centred)
+
+    def chunk(planes: Array) -> Any:
+        return reduce(correlate(frame, planes, spectra.map_shape) * scale)
+
+    return _per_yaw(over_chunks(chunk, spectra.planes), spectra.yaw_count)
+
+
+@partial(jax.jit, static_argnums=4)
+def _match_masked(image: Array, spectra: TemplateSpectra, mask: Array, min_valid: Any, reduce: Callable) -> Any:
+    frame = masked_frame(image, mask, spectra.template_shape, min_valid)
+
+    def chunk(planes: tuple[Array, Array]) -> Any:
+        return reduce(masked_maps(frame, *planes))
+
+    return _per_yaw(over_chunks(chunk, (spectra.planes, spectra.squares)), spectra.yaw_count)
+
+
+@partial(jax.jit, static_argnums=5)
+def _match_weighted(
+    image: Array, templates: Array, mask: Array, template_mask: Array, min_valid: Any, reduce: Callable
+) -> Any:
+    weight = template_mask.astype(jnp.float32)
+    unit = unit_templates(templates, weight)
+    shape = (image.shape[0], image.shape[1])
+    planes, squares, weights = pack(unit, shape), pack(jnp.square(unit), shape), pack(weight, shape)
+    map_shape = (shape[0] - templates.shape[1] + 1, shape[1] - templates.shape[2] + 1)
+    frame = weighted_frame(image, mask)
+    pixels = jnp.sum(weight, axis=(1, 2))
+    room = 2 * planes.shape[0] * planes.shape[1]
+    pixels = jnp.pad(pixels, (0, room - pixels.shape[0])).reshape(*planes.shape[:2], 2)
+
+    def chunk(parts: tuple[Array, Array, Array, Array]) -> Any:
+        return reduce(weighted_maps(frame, *parts, map_shape, min_valid))
+
+    return _per_yaw(over_chunks(chunk, (planes, squares, weights, pixels)), templates.shape[0])
+
+
+def _per_yaw(chunks: Any, yaw_count: int) -> Any:
+    """Leading axes (chunk, pair, two) of each result as one (yaw,), without the padding."""
+    return jax.tree_util.tree_map(lambda x: x.reshape(-1, *x.shape[3:])[:yaw_count], chunks)
+
+
+def _best_score(maps: Float[Array, "pair two row col"]) -> Float[Array, "pair two"]:
+    return jnp.max(jnp.max(maps, axis=2), axis=2)  # beams last: the first maximum runs over whole vectors
+
+
+def _best_position(maps: Float[Array, "pair two row col"]) -> MatchPositions:
+    by_col = jnp.max(maps, axis=2)
+    col = jnp.argmax(by_col, axis=2)  # an argmax over one axis at a time: over both XLA's CPU code is ten times slower
+    column = jnp.take_along_axis(maps, col[:, :, None, None], axis=3)[..., 0]
+    return MatchPositions(jnp.max(by_col, axis=2), jnp.argmax(column, axis=2), col)
+
+
+def _whole_map(maps: Float[Array, "pair two row col"]) -> Float[Array, "pair two row col"]:
+    return maps

@@ -1,0 +1,117 @@
+"""The template bank: the object's semantic image at many yaws, cropped to one box (§2.1, §4.2, Fig. 7)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.render.frame import semantic_image
+from sonarjax.render.region import image_azimuth, place_window, window_shape
+from sonarjax.render.window import Window, render_window
+from sonarjax.scene import Mesh, Pose
+from sonarjax.sonar import Sonar
+
+MARGIN_BEAMS, MARGIN_BINS = 3, 12  # around the union of all yaws; wider margins lower the correlation
+TOUCHED = 0.01  # a pixel belongs to the object when its semantic value is this far from the background's
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class TemplateBank:
+    """Templates of one object at one place, for a list of yaws."""
+
+    templates: Float[Array, "yaw h w"]
+    """Semantic images (yaw, range, beam), all cropped to the same box."""
+    yaws: Float[Array, "yaw"]
+    """Absolute yaw of each template at the bank's place [rad]."""
+    offset: tuple[int, int] = field(default=(0, 0), metadata={"static": True})
+    """Row and column of the box's first pixel in the frame."""
+    x: float = field(default=0.0, metadata={"static": True})
+    """Forward position of the object [m]."""
+    y: float = field(default=0.0, metadata={"static": True})
+    """Position to port of the object [m]."""
+    tilt: float = field(default=0.0, metadata={"static": True})
+    """Tilt of the sonar it was rendered for [rad]."""
+
+    @property
+    def bearing(self) -> float:
+        """Bearing of the object from the sonar [rad]."""
+        return float(np.arctan2(self.y, self.x))
+
+    @property
+    def ground_range(self) -> float:
+        """Horizontal distance of the object from the sonar [m]."""
+        return float(np.hypot(self.x, self.y))
+
+
+def template_bank(
+    mesh: Mesh,
+    sonar: Sonar,
+    yaws: Any,
+    *,
+    x: float,
+    y: float = 0.0,
+    sub_beams: int = 1,
+    elevations: int = 64,
+    margin: tuple[int, int] = (MARGIN_BINS, MARGIN_BEAMS),
+) -> TemplateBank:
+    """Render the object at (x, y) [m] for each of `yaws` (yaw,) [rad] and crop all to one box with a `margin` (bins, beams).
+
+    Views are rendered one after another in a window around the object, so memory grows only with the templates.
+    Raises SonarjaxError when `yaws` is empty or not finite, or the object is outside the sonar's view.
+    """
+    yaws = np.atleast_1d(np.asarray(yaws, np.float32))
+    if yaws.ndim != 1 or yaws.size == 0 or not np.isfinite(yaws).all():
+        raise SonarjaxError(f"yaws: expected a non-empty list of finite angles [rad], got shape {yaws.shape}")
+    shape = window_shape(mesh, sonar, float(np.hypot(x, y)))
+    rows, columns, images = _render_views(mesh, sonar, jnp.asarray(yaws), x, y, shape, sub_beams, elevations)
+    first, last = _touched_box(np.asarray(images))
+    if first is None:
+        raise SonarjaxError(f"template bank: an object at x {x:.2f} m, y {y:.2f} m is outside the sonar's view")
+    row, column = int(rows), int(columns)
+    top, left = max(first[0] - margin[0], 0), max(first[1] - margin[1], 0)
+    bottom, right = min(last[0] + margin[0], shape[0] - 1), min(last[1] + margin[1], shape[1] - 1)
+    crop = images[:, top : bottom + 1, left : right + 1]
+    offset = (row + top, column + left)
+    return TemplateBank(crop, jnp.asarray(yaws), offset, float(x), float(y), float(sonar.tilt))
+
+
+@partial(jax.jit, static_argnames=("shape", "sub_beams", "elevations"))
+def _render_views(
+    mesh: Mesh, sonar: Sonar, yaws: Array, x: Any, y: Any, shape: tuple[int, int], sub_beams: int, elevations: int
+) -> tuple[Array, Array, Array]:
+    window = place_window(shape, mesh, sonar, x, y)
+
+    def one(yaw: Array) -> Array:
+        return semantic_window(mesh, Pose(x, y, yaw), sonar, window, sub_beams, elevations)
+
+    return window.row, window.column, jax.lax.map(one, yaws)
+
+
+def semantic_window(
+    mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, sub_beams: int, elevations: int
+) -> Float[Array, "range beam"]:
+    """The semantic image of one window of the frame; differentiable like `render`."""
+    layers = render_window(mesh, pose, sonar, window, sub_beams, elevations)
+    return semantic_image(layers.highlight, layers.shadow)
+
+
+def _touched_box(images: np.ndarray) -> tuple[Any, Any]:
+    touched = (np.abs(images - 0.5) > TOUCHED).any(axis=0)
+    if not touched.any():
+        return None, None
+    rows, columns = np.flatnonzero(touched.any(axis=1)), np.flatnonzero(touched.any(axis=0))
+    return (rows[0], columns[0]), (rows[-1], columns[-1])
+
+
+def bank_place(bank: TemplateBank, sonar: Sonar) -> tuple[float, float]:
+    """Slant range [m] of the floor under the object's origin and its image azimuth [rad]: what matching shifts."""
+    azimuth = float(image_azimuth(bank.x, bank.y, sonar))
+    return float(np.hypot(bank.ground_range, float(sonar.height))), azimuth

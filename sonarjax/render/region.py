@@ -1,0 +1,70 @@
+"""Which part of the image an object and its shadow can touch: sizes are fixed on the host, positions may be traced."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from sonarjax.render.window import Window
+from sonarjax.scene import Mesh
+from sonarjax.sonar import Sonar
+
+ROW_STEP, COLUMN_STEP = 32, 4  # window sizes are rounded up to these, so that neighbours share compiled code
+
+
+def window_shape(mesh: Mesh, sonar: Sonar, ground_range: float, slack: float = 0.0) -> tuple[int, int]:
+    """Pixels (range, beam) that hold the object and its shadow at `ground_range` [m], `slack` [m] around it included.
+
+    `sonar` must hold concrete numbers. Never more than the whole frame.
+    """
+    reach = mesh.radius + slack
+    near, far = _slant_extent(mesh, sonar, ground_range, slack)
+    rows = math.ceil((far - near) / float(sonar.range_bin)) + 4
+    half = math.asin(min(1.0, reach / max(ground_range, reach)))
+    # The slice's azimuth is measured about the tilted axis, where an angle on the floor looks wider.
+    half = half / max(math.cos(abs(float(sonar.tilt)) + float(sonar.elevation_aperture) / 2), 0.2)
+    columns = math.ceil(2 * half / float(np.diff(np.asarray(sonar.azimuth_edges)).min())) + 4
+    rows, columns = -(-rows // ROW_STEP) * ROW_STEP, -(-columns // COLUMN_STEP) * COLUMN_STEP
+    return min(rows, sonar.n_ranges), min(columns, sonar.n_beams)
+
+
+def _slant_extent(mesh: Mesh, sonar: Sonar, ground_range: float, slack: float) -> tuple[float, float]:
+    height, reach = float(sonar.height), mesh.radius + slack
+    near_ground = max(ground_range - reach, 0.0)
+    near = math.hypot(near_ground, max(height - mesh.top, 0.0))
+    if mesh.top >= height * 0.95:
+        return near, float(sonar.range_max)
+    shadow_end = (ground_range + reach) * height / (height - max(mesh.top, 0.0))
+    return near, min(math.hypot(shadow_end, height), float(sonar.range_max))
+
+
+def place_window(shape: tuple[int, int], mesh: Mesh, sonar: Sonar, x: Any, y: Any, slack: float = 0.0) -> Window:
+    """The window of `shape` around an object at (x, y) [m], moved inside the frame; x and y may be traced."""
+    x, y, height = (jnp.asarray(v, jnp.float32) for v in (x, y, sonar.height))
+    ground = jnp.hypot(x, y)
+    near = jnp.hypot(jnp.maximum(ground - mesh.radius - slack, 0.0), jnp.maximum(height - mesh.top, 0.0))
+    row = jnp.floor((near - sonar.range_min) / sonar.range_bin).astype(jnp.int32) - 2
+    bearing = image_azimuth(x, y, sonar)
+    column = jnp.searchsorted(jnp.asarray(sonar.azimuth), bearing).astype(jnp.int32) - shape[1] // 2
+    row = jnp.clip(row, 0, sonar.n_ranges - shape[0])
+    return Window(row, jnp.clip(column, 0, sonar.n_beams - shape[1]), shape)
+
+
+def image_azimuth(x: Any, y: Any, sonar: Sonar) -> Any:
+    """Azimuth in the (tilted, unrolled) sonar frame [rad] of a floor point (x, y) [m]: where it appears in the image."""
+    forward = jnp.cos(jnp.asarray(sonar.tilt)) * x + jnp.sin(jnp.asarray(sonar.tilt)) * sonar.height
+    return jnp.arctan2(jnp.asarray(y, jnp.float32), forward)
+
+
+def floor_point(slant_range: Any, azimuth: Any, sonar: Sonar) -> tuple[Any, Any]:
+    """Ground (x, y) [m] of the floor seen at `slant_range` [m] and image `azimuth` [rad] (no roll); inverse of the above."""
+    ground = jnp.sqrt(jnp.maximum(jnp.asarray(slant_range) ** 2 - jnp.asarray(sonar.height) ** 2, 1e-6))
+    tan = jnp.tan(jnp.asarray(azimuth))
+    ct, lift = jnp.cos(jnp.asarray(sonar.tilt)), jnp.sin(jnp.asarray(sonar.tilt)) * sonar.height
+    # y = tan·(ct·x + lift) on the circle x² + y² = ground²: a quadratic in x, of which the forward root is seen.
+    a, b, c = 1 + (tan * ct) ** 2, tan * tan * ct * lift, (tan * lift) ** 2 - ground**2
+    x = (-b + jnp.sqrt(jnp.maximum(b * b - a * c, 0.0))) / a
+    return x, tan * (ct * x + lift)

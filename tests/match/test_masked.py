@@ -1,0 +1,128 @@
+"""Masked eq. 4 against a loop over windows and scikit-image's masked correlation."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.match import correlation_maps, match_bank, match_positions, prepare_bank
+
+sys.path.insert(0, str(Path(__file__).parent))
+from scenes import brute_force, semantic_image
+
+REAL = Path(__file__).resolve().parents[2].parent / "shared" / "real" / "pipe" / "frames" / "frame_000.npz"
+
+
+def fan_mask(shape: tuple[int, int]) -> np.ndarray:
+    """True inside a slanted outline, with a hole: as a blanked near range and a shaded corner."""
+    row, col = np.indices(shape)
+    return (row > 8) & (row + 2 * col < shape[0] + shape[1]) & ~((row > 30) & (row < 36) & (col > 5))
+
+
+@pytest.mark.parametrize("kind", ["random", "semantic"])
+def test_equals_a_loop_over_windows(kind: str) -> None:
+    rng = np.random.default_rng(1)
+    image = rng.random((70, 40), np.float32) if kind == "random" else semantic_image(3, (70, 40))
+    templates = rng.random((5, 22, 11), np.float32)
+    mask = fan_mask(image.shape)
+    expected = np.stack([brute_force(image, t, mask) for t in templates])
+    np.testing.assert_allclose(correlation_maps(image, templates, mask), expected, atol=1e-4)
+    np.testing.assert_allclose(match_bank(image, templates, mask), expected.max(axis=(1, 2)), atol=1e-4)
+    bank = prepare_bank(templates, image.shape, masked=True)
+    np.testing.assert_allclose(match_bank(image, bank, mask), expected.max(axis=(1, 2)), atol=1e-4)
+
+
+def test_template_mask_equals_a_loop_over_windows() -> None:
+    rng = np.random.default_rng(2)
+    image, templates = rng.random((60, 36), np.float32), rng.random((4, 20, 12), np.float32)
+    template_mask, mask = rng.random(templates.shape) < 0.6, fan_mask(image.shape)
+    expected = np.stack([brute_force(image, t, mask, m) for t, m in zip(templates, template_mask, strict=True)])
+    maps = correlation_maps(image, templates, mask, template_mask=template_mask)
+    np.testing.assert_allclose(maps, expected, atol=1e-4)
+    everywhere = np.stack(
+        [brute_force(image, t, np.ones(image.shape, bool), m) for t, m in zip(templates, template_mask, strict=True)]
+    )
+    np.testing.assert_allclose(correlation_maps(image, templates, template_mask=template_mask), everywhere, atol=1e-4)
+
+
+def test_equals_scikit_image() -> None:
+    masked = pytest.importorskip("skimage.registration._masked_phase_cross_correlation")
+    rng = np.random.default_rng(3)
+    image, template = rng.random((50, 30)), rng.random((16, 9))
+    mask = fan_mask(image.shape)
+    full = masked.cross_correlate_masked(image, template, mask, np.ones(template.shape, bool), overlap_ratio=0.3)
+    valid = full[template.shape[0] - 1 : image.shape[0], template.shape[1] - 1 : image.shape[1]]
+    ours = np.asarray(correlation_maps(image.astype(np.float32), template[None].astype(np.float32), mask)[0])
+    both = (ours != 0) & (valid != 0)  # the two count a share of overlap differently
+    assert both.mean() > 0.5
+    np.testing.assert_allclose(ours[both], valid[both], atol=1e-4)
+
+
+def test_a_full_mask_changes_nothing() -> None:
+    rng = np.random.default_rng(4)
+    image, templates = rng.random((64, 40), np.float32), rng.random((7, 20, 10), np.float32)
+    full = np.ones(image.shape, bool)
+    np.testing.assert_allclose(
+        correlation_maps(image, templates, full), correlation_maps(image, templates), atol=1e-5
+    )
+
+
+def test_what_was_not_measured_does_not_count() -> None:
+    rng = np.random.default_rng(5)
+    image, templates = rng.random((64, 40), np.float32), rng.random((7, 20, 10), np.float32)
+    mask = fan_mask(image.shape)
+    wrong = np.where(mask, image, np.nan).astype(np.float32)
+    np.testing.assert_array_equal(match_bank(wrong, templates, mask), match_bank(image, templates, mask))
+
+
+def test_a_half_hidden_template_still_scores_one() -> None:
+    rng = np.random.default_rng(6)
+    image, templates = rng.random((90, 40), np.float32), rng.random((3, 30, 12), np.float32)
+    image[40:70, 20:32] = templates[1]
+    mask = np.ones(image.shape, bool)
+    image[55:], mask[55:] = 0, False
+    found = match_positions(image, templates, mask)
+    assert found.scores[1] == pytest.approx(1, abs=1e-4)
+    assert (int(found.row[1]), int(found.col[1])) == (40, 20)
+    assert match_bank(image, templates)[1] < 0.9
+    assert match_bank(image, templates, mask, min_valid=0.6)[1] < 0.9
+
+
+def test_no_pixel_measured_is_zero_and_finite() -> None:
+    rng = np.random.default_rng(7)
+    image, templates = jnp.asarray(rng.random((40, 20), np.float32)), jnp.asarray(rng.random((3, 12, 8), np.float32))
+    nothing = jnp.zeros(image.shape, bool)
+    weight = jnp.ones(templates.shape, bool).at[1].set(False)
+    assert np.all(match_bank(image, templates, nothing) == 0)
+    assert match_bank(image, templates, template_mask=weight)[1] == 0
+    some = jnp.asarray(fan_mask((40, 20)))
+    for options in ({"mask": nothing}, {"mask": some}, {"mask": some, "template_mask": weight}):
+        gradient = jax.grad(lambda i, o=options: match_bank(i, templates, **o).sum())(image)
+        assert bool(jnp.all(jnp.isfinite(gradient)))
+
+
+def test_a_mask_of_another_shape_is_an_error() -> None:
+    with pytest.raises(SonarjaxError, match="mask: expected shape"):
+        match_bank(jnp.zeros((20, 20)), jnp.zeros((2, 5, 5)), jnp.ones((20, 19), bool))
+    with pytest.raises(SonarjaxError, match="template_mask: expected shape"):
+        match_bank(jnp.zeros((20, 20)), jnp.zeros((2, 5, 5)), template_mask=jnp.ones((2, 5, 4), bool))
+
+
+def test_equals_a_loop_on_a_real_frame() -> None:
+    if not REAL.exists():
+        pytest.skip("real frames are not here")
+    with np.load(REAL) as frame:
+        image, mask = frame["image"].astype(np.float32), frame["mask"].astype(bool)
+    image, mask = image[::4, ::2], mask[::4, ::2]  # the loop is slow
+    templates = np.random.default_rng(8).random((2, image.shape[0] // 4, image.shape[1] // 4), np.float32)
+    expected = np.stack([brute_force(image, t, mask) for t in templates])
+    maps = np.asarray(correlation_maps(image, templates, mask))
+    counted = maps != 0
+    assert counted.any(axis=(1, 2)).all()
+    np.testing.assert_allclose(maps[counted], expected[counted], atol=1e-4)
