@@ -19,13 +19,13 @@ from jaxtyping import Array, Bool, Float, Int
 class Decision:
     """Eq. 5: is it the target, and at which yaw bin."""
 
-    identified: Bool[Array, ""]
+    identified: Bool[Array, "*batch"]
     """True where the best score reaches the threshold."""
-    score: Float[Array, ""]
-    """Best correlation over the bank, −1 to 1."""
-    yaw_bin: Int[Array, ""]
+    score: Float[Array, "*batch"]
+    """Best correlation over the bank, -1 to 1."""
+    yaw_bin: Int[Array, "*batch"]
     """Index of the best yaw bin."""
-    yaw: Float[Array, ""]
+    yaw: Float[Array, "*batch"]
     """Yaw of that bin [rad]."""
 
 
@@ -34,15 +34,15 @@ class Decision:
 class Peaks:
     """Hypotheses of yaw, best first; entries beyond the last one are padding."""
 
-    yaw: Float[Array, " peak"]
+    yaw: Float[Array, "*batch peak"]
     """Yaw of the peak's bin [rad]; NaN in padding."""
-    score: Float[Array, " peak"]
-    """Correlation there, −1 to 1; −inf in padding."""
-    yaw_bin: Int[Array, " peak"]
+    score: Float[Array, "*batch peak"]
+    """Correlation there, -1 to 1; -inf in padding."""
+    yaw_bin: Int[Array, "*batch peak"]
     """Index of the bin; 0 in padding."""
-    prominence: Float[Array, " peak"]
+    prominence: Float[Array, "*batch peak"]
     """Height above the higher of the two saddles that lead to higher ground (correlation); 0 in padding."""
-    valid: Bool[Array, " peak"]
+    valid: Bool[Array, "*batch peak"]
     """True where the entry is a peak."""
 
 

@@ -15,7 +15,10 @@ from sonarjax.match.spectra import correlate, frame_spectrum, inverse_root
 from sonarjax.match.windows import window_moments
 
 NEAR_CONSTANT = 1e-6
-"""A window whose energy is below this share of the frame's energy is constant: it scores 0."""
+"""A window whose energy is below this share of the frame's energy is constant: it scores 0.
+
+The transform's rounding weighs up to 5e-4 in the score of the faintest windows that still count; above 4e-5 of the
+frame's energy (one odd pixel in a window of a semantic map) it stays below 1e-4."""
 LOST_TEMPLATE = 1e-4
 """A template that keeps less than this share of its energy over the measured pixels scores 0 there."""
 MIN_VALID = 0.3
@@ -31,24 +34,25 @@ class MaskedFrame(NamedTuple):
     """Spectrum of the mask."""
     mean: Float[Array, "row col"]
     """Mean of the measured pixels of each window, relative to the frame's own mean."""
-    count: Float[Array, "row col"]
+    pixels: Float[Array, "row col"]
     """Measured pixels of each window, at least 1."""
     scale: Float[Array, "row col"]
     """1/√energy of each window; 0 where it is near-constant or has too few measured pixels."""
 
 
 def masked_frame(
-    image: Float[Array, "range beam"], mask: Bool[Array, "range beam"], window: tuple[int, int], min_valid: float
+    image: Float[Array, "range beam"],
+    mask: Bool[Array, "range beam"],
+    window: tuple[int, int],
+    min_valid: float | Array,
 ) -> MaskedFrame:
     """Spectra and window moments of `image` where `mask` is true, for windows (height, width) [pixels]."""
     centred = masked_centre(image, mask)
     moments = window_moments(centred, window, mask)
-    enough = moments.count >= min_valid * window[0] * window[1]
+    enough = moments.pixels >= min_valid * window[0] * window[1]
     scale = jnp.where(enough, inverse_root(moments.energy, NEAR_CONSTANT * jnp.sum(jnp.square(centred))), 0.0)
-    count = jnp.maximum(moments.count, 1.0)
-    return MaskedFrame(
-        frame_spectrum(centred), frame_spectrum(mask.astype(image.dtype)), moments.mean, count, scale
-    )
+    count = jnp.maximum(moments.pixels, 1.0)
+    return MaskedFrame(frame_spectrum(centred), frame_spectrum(mask.astype(image.dtype)), moments.mean, count, scale)
 
 
 def masked_centre(image: Float[Array, "range beam"], mask: Bool[Array, "range beam"]) -> Float[Array, "range beam"]:
@@ -63,7 +67,7 @@ def masked_maps(
     """Masked eq. 4 at all window positions for pairs of unit templates (`planes`) and their squares."""
     shape = (frame.mean.shape[0], frame.mean.shape[1])
     total = correlate(frame.valid, planes, shape)  # Σ T over measured pixels
-    energy = correlate(frame.valid, squares, shape) - jnp.square(total) / frame.count
+    energy = correlate(frame.valid, squares, shape) - jnp.square(total) / frame.pixels
     product = correlate(frame.signal, planes, shape) - frame.mean * total
     return product * frame.scale * inverse_root(energy, LOST_TEMPLATE)
 
@@ -97,7 +101,7 @@ def weighted_maps(
     weights: Complex[Array, "pair range beam"],
     pixels: Float[Array, "pair two"],
     map_shape: tuple[int, int],
-    min_valid: float,
+    min_valid: float | Array,
 ) -> Float[Array, "pair two row col"]:
     """Masked eq. 4 where each template counts only under its own mask (`weights`, with `pixels` pixels in it).
 

@@ -1,7 +1,7 @@
 """Eq. 4: zero-mean normalised cross-correlation of a frame with every template of a bank over yaw.
 
-Takes a frame (range, beam) and a bank (`.templates` (yaw, h, w), or a plain array), returns scores (yaw,) in [−1, 1], the
-best window's corner, or the whole maps (yaw, row, col). Near-constant windows and templates score 0. Frames are finite
+Takes a frame (range, beam) and a bank (`.templates` (yaw, h, w), or a plain array), returns scores (yaw,) from -1 to 1,
+the best window's corner, or the whole maps (yaw, row, col). Near-constant windows and templates score 0. Frames are finite
 where measured. A batch of frames is one `jax.vmap`.
 """
 
@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from sonarjax.io.errors import SonarjaxError
@@ -31,12 +32,14 @@ from sonarjax.match.spectra import (
 )
 from sonarjax.match.windows import window_moments
 
+AnyArray = Array | np.ndarray
+
 
 class MatchPositions(NamedTuple):
     """Where each template of a bank fits best."""
 
     scores: Float[Array, " yaw"]
-    """Largest correlation over all window positions (eq. 4), −1 to 1."""
+    """Largest correlation over all window positions (eq. 4), -1 to 1."""
     row: Int[Array, " yaw"]
     """Range bin of the best window's first row."""
     col: Int[Array, " yaw"]
@@ -48,7 +51,7 @@ class MatchPositions(NamedTuple):
 class PreparedBank:
     """A bank with its spectra kept: matching many frames with it costs half."""
 
-    templates: Float[Array, "yaw h w"]
+    templates: Float[Array, "*batch yaw h w"]
     """The bank's templates."""
     spectra: TemplateSpectra
     """Their spectra for one frame shape."""
@@ -65,12 +68,12 @@ def prepare_bank(bank: Any, image_shape: tuple[int, int], *, masked: bool = Fals
 
 
 def match_bank(
-    image: Float[Array, "range beam"],
+    image: Float[AnyArray, "range beam"],
     bank: Any,
-    mask: Bool[Array, "range beam"] | None = None,
+    mask: Bool[AnyArray, "range beam"] | None = None,
     *,
     min_valid: float = MIN_VALID,
-    template_mask: Bool[Array, "yaw h w"] | None = None,
+    template_mask: Bool[AnyArray, "yaw h w"] | None = None,
 ) -> Float[Array, " yaw"]:
     """Scores (yaw,) of eq. 4: the largest correlation of each template with `image` (range, beam), over all positions.
 
@@ -82,26 +85,26 @@ def match_bank(
 
 
 def match_positions(
-    image: Float[Array, "range beam"],
+    image: Float[AnyArray, "range beam"],
     bank: Any,
-    mask: Bool[Array, "range beam"] | None = None,
+    mask: Bool[AnyArray, "range beam"] | None = None,
     *,
     min_valid: float = MIN_VALID,
-    template_mask: Bool[Array, "yaw h w"] | None = None,
+    template_mask: Bool[AnyArray, "yaw h w"] | None = None,
 ) -> MatchPositions:
     """Scores as `match_bank`, and the top-left corner (range bin, beam) of the window that reached each of them."""
     return _match(image, bank, mask, template_mask, min_valid, _best_position)
 
 
 def correlation_maps(
-    image: Float[Array, "range beam"],
+    image: Float[AnyArray, "range beam"],
     bank: Any,
-    mask: Bool[Array, "range beam"] | None = None,
+    mask: Bool[AnyArray, "range beam"] | None = None,
     *,
     min_valid: float = MIN_VALID,
-    template_mask: Bool[Array, "yaw h w"] | None = None,
+    template_mask: Bool[AnyArray, "yaw h w"] | None = None,
 ) -> Float[Array, "yaw row col"]:
-    """Eq. 4 at every window position, (yaw, range − h + 1, beam − w + 1); arguments and errors as in `match_bank`."""
+    """Eq. 4 at every window position, (yaw, range - h + 1, beam - w + 1); arguments and errors as in `match_bank`."""
     return _match(image, bank, mask, template_mask, min_valid, _whole_map)
 
 

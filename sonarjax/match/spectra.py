@@ -28,9 +28,9 @@ CONSTANT_TEMPLATE = 1e-10
 class TemplateSpectra:
     """Spectra of a bank's templates, centred and scaled to unit norm, in chunks of packed pairs."""
 
-    planes: Complex[Array, "chunk pair range beam"]
+    planes: Complex[Array, "*batch chunk pair range beam"]
     """Conjugate spectra of templates 2p (+ i times those of 2p + 1), zero-padded to the transform's size."""
-    squares: Complex[Array, "chunk pair range beam"] | None
+    squares: Complex[Array, "*batch chunk pair range beam"] | None
     """The same of the squared templates, which masked matching needs; None if it was not asked for."""
     yaw_count: int = field(metadata={"static": True})
     """Number of templates; the planes may hold a few empty ones more."""
@@ -92,7 +92,7 @@ def unit_templates(
     return centred * inverse_root(energy, CONSTANT_TEMPLATE * total)
 
 
-def inverse_root(energy: Float[Array, "..."], floor: Any) -> Float[Array, "..."]:
+def inverse_root(energy: Array, floor: Any) -> Array:
     """1/√energy where `energy` exceeds `floor`, else 0; the guard comes before the root, so that no gradient is NaN."""
     enough = energy > floor
     return jnp.where(enough, jax.lax.rsqrt(jnp.where(enough, energy, 1.0)), 0.0)

@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float
 class WindowMoments(NamedTuple):
     """Moments of the pixels under a window, for every position of its top-left corner."""
 
-    count: Any
+    pixels: Any
     """Pixels that count: a number, or (row, col) where a mask hides some of them."""
     mean: Float[Array, "row col"]
     """Mean over those pixels, in the image's unit; 0 where none counts."""
@@ -59,10 +59,10 @@ def _merge(near: WindowMoments, far: WindowMoments, shift: int, axis: int) -> Wi
 
     near = WindowMoments(*(cut(v, 0) for v in near))
     far = WindowMoments(*(cut(v, shift) for v in far))
-    count = near.count + far.count
-    share = far.count / (count if isinstance(count, float) else jnp.maximum(count, 1.0))  # no pixel at all: 0 / 1
+    count = near.pixels + far.pixels
+    share = far.pixels / (count if isinstance(count, float) else jnp.maximum(count, 1.0))  # no pixel at all: 0 / 1
     step = far.mean - near.mean
     # mean + share · step, not a weighted sum of means: exact where both windows are the same constant
     return WindowMoments(
-        count, near.mean + share * step, near.energy + far.energy + near.count * share * jnp.square(step)
+        count, near.mean + share * step, near.energy + far.energy + near.pixels * share * jnp.square(step)
     )

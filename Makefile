@@ -1,0 +1,54 @@
+# make test        lint, format, types and tests          make reproduce   the main job: figures and report under runs/
+# make bench       speed against peers                    make format      rewrite the code in the project's format
+# make clean       remove the environment and the caches
+# Needs Python >= 3.11 with venv; name another interpreter with PYTHON=...
+
+VENV    ?= .venv
+WORKERS ?= 2
+
+RECENT := import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 11))
+# python3 may be older than what stands beside it: take the first that will do.
+ifndef PYTHON
+PYTHON := $(shell for p in python3 python3.12 python3.11 python3.13 python; do \
+	$$p -c '$(RECENT)' >/dev/null 2>&1 && { echo $$p; break; }; done)
+endif
+
+BIN   := $(VENV)/bin
+SPEC  := pyproject.toml constraints.txt
+PIP   := $(BIN)/python -m pip --disable-pip-version-check
+
+.PHONY: test reproduce bench format clean
+.DELETE_ON_ERROR:
+
+test: $(VENV)/.stamp-test
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy sonarjax
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile
+
+reproduce: $(VENV)/.stamp-base
+	$(BIN)/python -m experiments.reproduce_paper
+
+bench: $(VENV)/.stamp-bench
+	$(BIN)/python -m experiments.bench_all
+
+format: $(VENV)/.stamp-test
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+clean:
+	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -not -path './$(VENV)/*' -prune -exec rm -rf {} +
+
+# One environment; each stamp says which extra of it is installed, and is older than the files that decide what.
+$(VENV)/.stamp-base: EXTRA :=
+$(VENV)/.stamp-test: EXTRA := [test]
+$(VENV)/.stamp-bench: EXTRA := [bench]
+
+$(VENV)/.stamp-base $(VENV)/.stamp-test $(VENV)/.stamp-bench: $(SPEC)
+	@$(or $(PYTHON),false) -c '$(RECENT)' 2>/dev/null || \
+		{ echo "sonarjax needs Python 3.11 or newer with venv and pip: make PYTHON=/path/to/python3.11" >&2; exit 1; }
+	@$(PIP) --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV)
+	@echo "Installing sonarjax$(EXTRA) into $(VENV) (once, a few minutes)"
+	@$(PIP) install --quiet --constraint constraints.txt --editable ".$(EXTRA)"
+	@touch $@

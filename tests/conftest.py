@@ -1,0 +1,53 @@
+"""What every test shares: checked annotations, fixed precision and seeds, a compilation cache, the real data."""
+
+from __future__ import annotations
+
+import os
+import random
+from pathlib import Path
+
+import jax
+import jaxtyping
+import numpy as np
+import pytest
+
+# Before sonarjax is imported by anything: every array argument and result is checked against its annotation.
+jaxtyping.install_import_hook("sonarjax", "beartype.beartype")
+
+# JAX writes cache entries in place, so a worker reading what another is writing would warn: one folder for each.
+_ROOT = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+os.environ.setdefault(
+    "SONARJAX_CACHE_DIR", str(_ROOT / "sonarjax" / f"tests-{os.environ.get('PYTEST_XDIST_WORKER', 'main')}")
+)
+
+jax.config.update("jax_enable_x64", False)
+
+PROJECT = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(autouse=True)
+def _seeds() -> None:
+    """The same draw in every run, for what draws without a key or a generator of its own (libraries do)."""
+    random.seed(0)
+    np.random.seed(0)  # noqa: NPY002
+
+
+@pytest.fixture
+def key() -> jax.Array:
+    """A fixed JAX random key."""
+    return jax.random.key(0)
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """A fixed NumPy generator."""
+    return np.random.default_rng(0)
+
+
+@pytest.fixture(scope="session")
+def real_data() -> Path:
+    """The folder of real sonar files beside the project; tests that use it skip where it is absent."""
+    folder = PROJECT.parent / "shared" / "real"
+    if not folder.is_dir():
+        pytest.skip("the real sonar files (../shared/real) are not here")
+    return folder
