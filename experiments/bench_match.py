@@ -45,7 +45,7 @@ class Settings:
 
 
 def block_templates(count: int, height: int, width: int) -> np.ndarray:
-    """Semantic-like templates (yaw, height, width): two turned blocks at 1, the shadow behind them at 0, edges one pixel soft.
+    """Semantic-like templates (yaw, height, width): two turned blocks at 1, shadow 0, edges about a pixel soft.
 
     A pixel is taken as 5 mm in range and 12 mm across, as a DIDSON has it at 2.4 m.
     """
@@ -73,14 +73,14 @@ def _blocks(along: np.ndarray, across: np.ndarray, yaw: float) -> np.ndarray:
 
 def bank_templates(count: int, settings: Settings) -> np.ndarray:
     """Templates (yaw, h, w) of the package's own bank for the paper's target, on its 512 x 96 frame."""
-    import sonarjax as sj
-    from sonarjax.scene import objects
+    from sonarjax.render import template_bank
+    from sonarjax.scene.objects import target
+    from sonarjax.sonar import Sonar
 
-    sonar = sj.Sonar.preset("didson-hf", tilt=np.deg2rad(20.0), height=0.9)
-    sonar = replace(sonar, range_min=1.5, range_max=4.0, n_ranges=settings.ranges)
-    return np.asarray(
-        sj.template_bank(objects.target(), sonar, np.arange(count) * (2 * np.pi / count), x=2.3, y=0.0).templates
+    sonar = Sonar.preset(
+        "didson-hf", tilt=np.deg2rad(20.0), height=0.9, range_min=1.5, range_max=4.0, n_ranges=settings.ranges
     )
+    return np.asarray(template_bank(target(), sonar, np.arange(count) * (2 * np.pi / count), x=2.3).templates)
 
 
 def frame_with(template: np.ndarray, settings: Settings) -> np.ndarray:

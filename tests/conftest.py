@@ -15,14 +15,11 @@ import pytest
 jaxtyping.install_import_hook("sonarjax", "beartype.beartype")
 
 # JAX writes cache entries in place, so a worker reading what another is writing would warn: one folder for each.
-_ROOT = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-os.environ.setdefault(
-    "SONARJAX_CACHE_DIR", str(_ROOT / "sonarjax" / f"tests-{os.environ.get('PYTEST_XDIST_WORKER', 'main')}")
-)
+PROJECT = Path(__file__).resolve().parent.parent
+WORKER = os.environ.get("PYTEST_XDIST_WORKER", "main")
+os.environ["SONARJAX_CACHE_DIR"] = str(PROJECT / ".pytest_cache" / f"xla-{WORKER}")
 
 jax.config.update("jax_enable_x64", False)
-
-PROJECT = Path(__file__).resolve().parent.parent
 
 
 @pytest.fixture(autouse=True)

@@ -1,7 +1,7 @@
 """Eq. 4 over the measured pixels only: masked normalised cross-correlation (Padfield 2012).
 
-Mean and norm of window *and* template are taken over the pixels of the window that were measured, so that the unmeasured
-rest of a frame (NaN, black corner, blanked near range) neither helps nor hurts.
+Mean and norm of window *and* template are taken over the pixels of the window that were measured, so that the
+unmeasured rest of a frame (NaN, black corner, blanked near range) neither helps nor hurts.
 """
 
 from __future__ import annotations

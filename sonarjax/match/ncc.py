@@ -1,8 +1,8 @@
 """Eq. 4: zero-mean normalised cross-correlation of a frame with every template of a bank over yaw.
 
 Takes a frame (range, beam) and a bank (`.templates` (yaw, h, w), or a plain array), returns scores (yaw,) from -1 to 1,
-the best window's corner, or the whole maps (yaw, row, col). Near-constant windows and templates score 0. Frames are finite
-where measured. A batch of frames is one `jax.vmap`.
+the best window's corner, or the whole maps (yaw, row, col). Near-constant windows and templates score 0. Frames are
+finite where measured. A batch of frames is one `jax.vmap`.
 """
 
 from __future__ import annotations
@@ -145,6 +145,7 @@ def _match_plain(image: Array, spectra: TemplateSpectra, reduce: Callable[..., A
     centred = image - jnp.mean(image)  # the mean cancels in eq. 4, but its size would cost float32 digits
     energy = window_moments(centred, spectra.template_shape).energy
     scale = inverse_root(energy, NEAR_CONSTANT * jnp.sum(jnp.square(centred)))
+    scale = jax.lax.optimization_barrier(scale)  # else XLA fuses it into the loop and computes it anew for each chunk
     frame = frame_spectrum(centred)
 
     def chunk(planes: Array) -> Any:

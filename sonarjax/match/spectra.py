@@ -1,8 +1,8 @@
 """Spectra of a template bank, kept so that many frames can be matched with it.
 
-Takes templates (yaw, h, w), returns `TemplateSpectra`. Two real templates share one complex transform (their correlations
-are its real and imaginary part), and a few pairs form a chunk that stays in the processor's cache: on two CPU cores both
-together are twice as fast as one batched real transform of the whole bank.
+Takes templates (yaw, h, w), returns `TemplateSpectra`. Two real templates share one complex transform (their
+correlations are its real and imaginary part), and a few pairs form a chunk that stays in the processor's cache: on two
+CPU cores both together are up to twice as fast as one batched real transform of the whole bank.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from jaxtyping import Array, Complex, Float
 from sonarjax.io.errors import SonarjaxError
 
 CHUNK_BYTES = {"cpu": 5 << 19, "gpu": 1 << 28, "tpu": 1 << 28}
-"""Spectra worked on at once [bytes]: about the second-level caches of two cores, or as much as keeps an accelerator busy."""
+"""Spectra worked on at once [bytes]: about two cores' second-level caches, or enough for an accelerator."""
 CONSTANT_TEMPLATE = 1e-10
 """A template whose variance is below this share of its mean square is constant: it scores 0."""
 
@@ -69,7 +69,7 @@ def check_shapes(templates: tuple[int, ...], image: tuple[int, ...]) -> None:
         raise SonarjaxError(f"templates: expected shape (yaw, h, w), none of them 0, got {tuple(templates)}")
     if templates[1] > image[0] or templates[2] > image[1]:
         raise SonarjaxError(
-            f"templates: {templates[1]} x {templates[2]} is larger than the image's {image[0]} x {image[1]} (range x beam)"
+            f"templates: {templates[1]} x {templates[2]} pixels are larger than the image, {image[0]} x {image[1]}"
         )
 
 

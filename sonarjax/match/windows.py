@@ -1,8 +1,8 @@
 """Mean and energy of every window of an image, without the cancellation of integral images.
 
 Takes an image (range, beam) and a window shape, returns moments (row, col) for each top-left corner. Two neighbouring
-windows are merged by Chan's update (Chan, Golub & LeVeque 1983), doubling their length: only differences are squared, so
-float32 is enough and a constant window has energy exactly 0.
+windows are merged by Chan's update (Chan, Golub & LeVeque 1983), doubling their length: only differences are squared,
+so float32 is enough and a constant window has energy exactly 0.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ class WindowMoments(NamedTuple):
 def window_moments(
     image: Float[Array, "range beam"], window: tuple[int, int], mask: Bool[Array, "range beam"] | None = None
 ) -> WindowMoments:
-    """Count, mean and energy of every `window` (height, width) [pixels] of `image`; only pixels where `mask` is true count.
+    """Moments of every `window` (height, width) [pixels] of `image`; only pixels where `mask` is true count.
 
-    Returns arrays of shape (range − height + 1, beam − width + 1): the S̄ and the first root of eq. 4.
+    Returns arrays of shape (range - height + 1, beam - width + 1): the S̄ and the first root of eq. 4.
     """
     moments = WindowMoments(1.0 if mask is None else mask.astype(image.dtype), image, jnp.zeros_like(image))
     for axis, length in enumerate(window):

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jax.lax import stop_gradient
+from jax.lax import optimization_barrier, stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
 from sonarjax.render.candidates import candidates, front_faces
@@ -77,15 +77,16 @@ def find_visible(mesh: Mesh, scene: Scene, slabs: Slabs, sonar: Sonar, elevation
     fixed = stop_gradient(scene)
     azimuth = stop_gradient(slabs.middle)
     seen = front_faces(fixed.vertices, fixed.faces, mesh.closed)
-    table = candidates(fixed.vertices, fixed.faces, seen, azimuth, mesh.crossings)
+    # The barriers keep XLA from fusing a stage into each of its uses, which costs compile time and run time alike.
+    table = optimization_barrier(candidates(fixed.vertices, fixed.faces, seen, azimuth, mesh.crossings))
     corners = corners_of(fixed, table)
     segments = cut(corners, jnp.broadcast_to(azimuth[:, None], table.shape), fixed.view)
-    segments = segments._replace(hit=segments.hit & (table >= 0))
-    pieces = visible_pieces(segments, elevations)
+    segments = optimization_barrier(segments._replace(hit=segments.hit & (table >= 0)))
+    pieces = optimization_barrier(visible_pieces(segments, elevations))
     lit = jnp.ones(pieces.winner.shape, bool)
     if sonar.highlight_max_incidence < 90.0:
         lit = lit_pieces(incidence_cosine(pieces, segments, corners, azimuth), sonar.highlight_max_incidence)
-    outline = find_outline(pieces, segments, table, lit, max_items(mesh.crossings))
+    outline = optimization_barrier(find_outline(pieces, segments, table, lit, max_items(mesh.crossings)))
     return Visible(pieces, segments, table, outline)
 
 

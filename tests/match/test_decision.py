@@ -17,7 +17,8 @@ YAWS = jnp.deg2rad(jnp.arange(0.0, 360.0, 10.0))
 def test_decide_reports_the_best_bin_either_way() -> None:
     scores = 0.5 + 0.2 * jnp.cos(YAWS - YAWS[7])
     yes, no = decide(scores, YAWS, 0.69), decide(scores, YAWS, 0.71)
-    assert bool(yes.identified) and not bool(no.identified)
+    assert bool(yes.identified)
+    assert not bool(no.identified)
     assert int(yes.yaw_bin) == int(no.yaw_bin) == 7
     assert float(yes.yaw) == pytest.approx(np.deg2rad(70))
     assert float(yes.score) == pytest.approx(0.7)
@@ -30,7 +31,8 @@ def test_a_symmetric_curve_gives_two_hypotheses() -> None:
     assert found.valid.tolist() == [True, True, False, False]
     np.testing.assert_array_equal(found.yaw_bin[:2], [3, 21])
     assert found.score[0] > found.score[1]
-    assert np.isnan(found.yaw[2]) and found.score[2] == -np.inf
+    assert np.isnan(found.yaw[2])
+    assert found.score[2] == -np.inf
 
 
 def test_a_peak_at_the_seam_is_found_once() -> None:
@@ -52,7 +54,8 @@ def test_small_low_and_near_bumps_are_left_out() -> None:
 def test_a_flat_or_negative_curve_still_has_its_best_bin() -> None:
     for scores in (jnp.zeros(36), jnp.full(36, -0.2), -0.5 + 0.1 * jnp.cos(YAWS)):
         found = peaks(scores, YAWS)
-        assert bool(found.valid[0]) and int(found.valid.sum()) == 1
+        assert bool(found.valid[0])
+        assert int(found.valid.sum()) == 1
         assert int(found.yaw_bin[0]) == int(jnp.argmax(scores))
 
 

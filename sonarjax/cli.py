@@ -1,0 +1,382 @@
+"""The command `sonarjax`: render, segment, recognize, train, info. Takes arguments, returns an exit code.
+
+Exit codes: 0 done, identified or not; 1 a frame could not be read (the batch goes on); 2 arguments, mesh, TOML or
+output that cannot be used; 130 interrupted. A wrong input gives one line on stderr. Nothing heavy is imported before
+the arguments are known to be good, so that `--help` is instant. Angles are in degrees here, inside in radians.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import math
+import os
+import re
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from typing import Any, NoReturn
+
+DEFAULT_SEGMENTER = "otsu"
+MAX_SUB_BEAMS = 64
+
+Lazy = Any  # a type of a module that is imported inside the function: the docstring names it
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command with the arguments `argv` (default: those of the process); returns the exit code.
+
+    Raises nothing for input that cannot be used, nor for an interrupt: one line on stderr says what happened.
+    """
+    try:
+        args = _parser().parse_args(argv)
+    except SystemExit as stop:  # --help, or arguments that cannot be used
+        return _finish(int(stop.code or 0))
+    from sonarjax.io import SonarjaxError
+
+    try:
+        return _finish(args.run(args))
+    except SonarjaxError as error:
+        _complain(str(error))
+    except KeyboardInterrupt:
+        _complain("interrupted", "")
+        return 130
+    except BrokenPipeError:  # whoever read our output has gone
+        _silence_stdout()
+        return 141
+    except (MemoryError, OSError, RuntimeError) as error:  # JAX reports a full memory or a missing device so
+        _complain(f"{args.command}: {type(error).__name__}: {error}")
+    return 2
+
+
+class _Parser(argparse.ArgumentParser):
+    """argparse with one line for an error, and numbers such as -1e-3 taken as numbers."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options, allow_abbrev=False)
+        self._negative_number_matcher = re.compile(r"-\.?\d")
+
+    def error(self, message: str) -> NoReturn:
+        _complain(f"{self.prog.removeprefix('sonarjax').strip()}: {message} (see {self.prog} --help)".lstrip(": "))
+        raise SystemExit(2)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(prog="sonarjax", description="Imaging-sonar simulation and recognition of objects with their yaw.")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for add in (_add_render, _add_segment, _add_recognize, _add_train, _add_info):
+        add(commands)
+    return parser
+
+
+_FRAME_HELP = ".npz (image, mask), .npy, .png, or a sonar file .aris/.ddf/.raw (all its frames; FILE:N for one, from 0)"
+_EXITS = "exit codes: 0 done; 1 a frame could not be read; 2 arguments, mesh, TOML or output that cannot be used"
+
+
+def _add_render(commands: Any) -> None:
+    command = commands.add_parser("render", help="simulate the frame of a mesh", epilog=_EXITS)
+    command.set_defaults(run=_render)
+    command.add_argument("mesh", metavar="MESH", help="surface in any format that trimesh reads (STL, OBJ, PLY, ...)")
+    command.add_argument("--sonar", metavar="S.toml", required=True, help="the sonar and its geometry")
+    command.add_argument("--x", metavar="M", required=True, type=_number, help="forward position of the mesh [m]")
+    command.add_argument("--y", metavar="M", required=True, type=_number, help="its position to port [m]")
+    command.add_argument(
+        "--yaw-deg", metavar="D", required=True, type=_number, help="its yaw, counter-clockwise from above [deg]"
+    )
+    command.add_argument(
+        "--out", metavar="FRAME.npz", required=True,
+        help="written: image (semantic), intensity, highlight, shadow, labels, azimuth_deg, range_edges_m",
+    )  # fmt: skip
+    command.add_argument(
+        "--png", metavar="P",
+        help="a picture for people: polar and fan views with axes (for a frame that is data, use FRAME.npz)",
+    )  # fmt: skip
+    _add_unit(command)
+    command.add_argument(
+        "--sub-beams", metavar="N", type=_sub_beams, help=f"azimuth parts of a beam, 1 to {MAX_SUB_BEAMS} (default: 2)"
+    )
+
+
+def _add_segment(commands: Any) -> None:
+    command = commands.add_parser("segment", help="background, highlight and shadow of frames", epilog=_EXITS)
+    command.set_defaults(run=_segment)
+    command.add_argument("frames", metavar="FRAME", nargs="+", help=_FRAME_HELP)
+    command.add_argument(
+        "--out-dir", metavar="DIR", required=True,
+        help="folder, made if missing; labels_<stem>.npz with `labels`: 0 background, 1 highlight, 2 shadow",
+    )  # fmt: skip
+
+
+def _add_recognize(commands: Any) -> None:
+    command = commands.add_parser("recognize", help="is the target in these frames, and at which yaw?", epilog=_EXITS)
+    command.set_defaults(run=_recognize)
+    command.add_argument("frames", metavar="FRAME", nargs="+", help=_FRAME_HELP)
+    command.add_argument("--target", metavar="MESH", required=True, help="the object to look for")
+    command.add_argument(
+        "--sonar", metavar="S.toml", required=True, help="the sonar and its geometry (overrides a file's header)"
+    )
+    command.add_argument("--out", metavar="R.jsonl", required=True, help="one JSON object a frame is appended")
+    command.add_argument(
+        "--segmenter", metavar="NAME", default=DEFAULT_SEGMENTER,
+        help="otsu, or none to match the grey frame itself (default: %(default)s)",
+    )  # fmt: skip
+    command.add_argument("--no-refine", action="store_true", help="stop at the yaw bin of the template bank")
+    command.add_argument(
+        "--threshold", metavar="T", type=_correlation, help="score from which on it is the target (default: shipped)"
+    )
+    _add_unit(command)
+
+
+def _add_train(commands: Any) -> None:
+    command = commands.add_parser("train", help="train the pix2pix segmenter (not in this version)")
+    command.set_defaults(run=_train)
+    command.add_argument("--preset", choices=("smoke", "cpu", "paper"), required=True)
+    command.add_argument("--run-dir", metavar="RUN", required=True)
+    command.add_argument("--resume", action="store_true")
+
+
+def _add_info(commands: Any) -> None:
+    command = commands.add_parser("info", help="what a sonar file holds", epilog=_EXITS)
+    command.set_defaults(run=_info)
+    command.add_argument("file", metavar="FILE", help=f"{_FRAME_HELP}, or a sonar.toml")
+
+
+def _add_unit(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--unit-m", metavar="M", type=_number, help="length of the mesh file's unit [m], such as 0.001 for millimetres"
+    )
+
+
+def _number(text: str) -> float:
+    return _limited(text, -1e6, 1e6)
+
+
+def _correlation(text: str) -> float:
+    return _limited(text, -1.0, 1.0)
+
+
+def _sub_beams(text: str) -> int:
+    number = _limited(text, 1, MAX_SUB_BEAMS)
+    if number != int(number):
+        raise argparse.ArgumentTypeError(f"expected a whole number, got {text!r}")
+    return int(number)
+
+
+def _limited(text: str, low: float, high: float) -> float:
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not low <= number <= high:
+        raise argparse.ArgumentTypeError(f"expected a number from {low:g} to {high:g}, got {text!r}")
+    return number
+
+
+def _render(args: argparse.Namespace) -> int:
+    _start_jax()
+    from sonarjax.render import render
+    from sonarjax.scene import Mesh, Pose
+    from sonarjax.sonar import Sonar
+
+    sonar, mesh = Sonar.from_toml(args.sonar), Mesh.load(args.mesh, args.unit_m)
+    quality = {} if args.sub_beams is None else {"sub_beams": args.sub_beams}
+    frame = render(mesh, Pose(x=args.x, y=args.y, yaw=math.radians(args.yaw_deg)), sonar, **quality)
+    _write_frame(args.out, frame, sonar)
+    if args.png is not None:
+        from sonarjax.plot import plot_frame, save_figure
+
+        save_figure(plot_frame(frame, sonar), args.png)
+    if not frame.labels().any():
+        _complain(f"{args.mesh}: nothing of it is in the sonar's view at x {args.x:g} m, y {args.y:g} m", "note: ")
+    return 0
+
+
+def _write_frame(path: str, frame: Lazy, sonar: Lazy) -> None:
+    """Write a SonarFrame (range, beam) and the axes of its Sonar as FRAME.npz."""
+    import numpy as np
+
+    from sonarjax.io import write_npz
+
+    write_npz(
+        path,
+        image=np.asarray(frame.semantic()),
+        intensity=np.asarray(frame.intensity),
+        highlight=np.asarray(frame.highlight),
+        shadow=np.asarray(frame.shadow),
+        labels=np.asarray(frame.labels()),
+        azimuth_deg=np.degrees(np.asarray(sonar.azimuth, np.float64)),
+        range_edges_m=np.linspace(float(sonar.range_min), float(sonar.range_max), sonar.n_ranges + 1),
+    )
+
+
+def _segment(args: argparse.Namespace) -> int:
+    _start_jax()
+    import numpy as np
+    from sonarjax.segment import segment
+
+    from sonarjax.io import SonarjaxError, write_npz
+
+    _make_folder(args.out_dir)
+    code, written = 0, dict[str, str]()
+    for name, frame in _each_frame(args.frames):
+        try:
+            if isinstance(frame, SonarjaxError):
+                raise frame
+            labels = segment(frame.image, DEFAULT_SEGMENTER, mask=frame.mask)
+        except SonarjaxError as error:
+            _complain(_naming(name, error))
+            code = 1
+            continue
+        if written.setdefault(frame.stem, name) != name:
+            raise SonarjaxError(f"{name}: its labels would overwrite those of {written[frame.stem]}: same stem")
+        path = os.path.join(args.out_dir, f"labels_{frame.stem}.npz")
+        write_npz(path, labels=np.asarray(labels, np.uint8))
+    return code
+
+
+def _recognize(args: argparse.Namespace) -> int:
+    _start_jax()
+    from sonarjax.segment import SEGMENTERS
+
+    from sonarjax.io import JsonLines, SonarjaxError
+    from sonarjax.scene import Mesh
+    from sonarjax.sonar import Sonar
+
+    if args.segmenter not in SEGMENTERS:
+        raise SonarjaxError(f"--segmenter: expected {' or '.join(SEGMENTERS)}, got {args.segmenter!r}")
+    sonar, mesh = Sonar.from_toml(args.sonar), Mesh.load(args.target, args.unit_m)
+    code = 0
+    with JsonLines(args.out) as lines:
+        for name, frame in _each_frame(args.frames):
+            try:
+                if isinstance(frame, SonarjaxError):
+                    raise frame
+                record = _recognize_one(frame, mesh, sonar, args)
+            except SonarjaxError as error:
+                record = {"frame": name, "error": _naming(name, error), "schema": 1}
+                _complain(record["error"])
+                code = 1
+            lines.write(record)
+    return code
+
+
+def _recognize_one(frame: Lazy, mesh: Lazy, sonar: Lazy, args: argparse.Namespace) -> dict[str, Any]:
+    """The JSON record of one io.Frame. Raises SonarjaxError when it does not fit the sonar."""
+    from sonarjax.recognize import recognize, to_json
+
+    started = time.perf_counter()
+    result = recognize(
+        frame.image,
+        mesh,
+        sonar,
+        segmenter=args.segmenter,
+        refine=not args.no_refine,
+        threshold=args.threshold,
+        mask=frame.mask,
+    )
+    return to_json(result, frame.source, time.perf_counter() - started)
+
+
+def _train(args: argparse.Namespace) -> int:
+    from sonarjax.io import SonarjaxError
+
+    raise SonarjaxError("train: training arrives with the pix2pix segmenter, in a later version")
+
+
+def _info(args: argparse.Namespace) -> int:
+    from sonarjax.io import SonarjaxError, describe
+
+    try:
+        text = describe(args.file)
+    except SonarjaxError as error:
+        _complain(str(error))
+        return 2 if args.file.lower().endswith(".toml") else 1
+    encoding = sys.stdout.encoding or "utf-8"
+    print(text.encode(encoding, "backslashreplace").decode(encoding))  # a terminal may not know every letter
+    return 0
+
+
+def _each_frame(specs: Sequence[str]) -> Iterator[tuple[str, Lazy]]:
+    """Name and io.Frame of every frame in the order given; for one that cannot be read, its SonarjaxError.
+
+    A bar on stderr shows progress where that is a terminal.
+    """
+    from tqdm import tqdm
+
+    from sonarjax.io import SonarjaxError, iter_frames, split_spec
+
+    with tqdm(total=len(specs), unit="frame", file=sys.stderr, disable=not sys.stderr.isatty()) as bar:
+        for spec in specs:
+            first = True
+            try:
+                for frame in iter_frames(spec):
+                    if first and split_spec(spec)[1] is None:
+                        bar.total += frame.meta["n_frames"] - 1  # known only now
+                    first = False
+                    yield frame.source, frame
+                    bar.update()
+            except SonarjaxError as error:
+                yield spec, error
+                bar.update()
+
+
+def _start_jax() -> None:
+    """Let a second run find its compiled code on disk."""
+    from sonarjax._cache import enable_compilation_cache
+
+    enable_compilation_cache()
+
+
+def _make_folder(path: str) -> None:
+    """Make a folder and its parents. Raises SonarjaxError when that cannot be."""
+    from sonarjax.io import SonarjaxError
+
+    try:
+        os.makedirs(path, exist_ok=True)
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else str(error)
+        raise SonarjaxError(f"{path!r}: cannot be used as a folder for output: {reason}") from error
+
+
+def _naming(name: str, error: Exception) -> str:
+    """The error's message, opened by the frame's name where it does not name the file itself."""
+    from sonarjax.io import split_spec
+
+    message = str(error)
+    return message if message.startswith(split_spec(name)[0]) else f"{name}: {message}"
+
+
+def _complain(message: str, kind: str = "error: ") -> None:
+    """One line on stderr, whatever `message` holds."""
+    line = f"sonarjax: {kind}{' '.join(message.split())}"
+    with contextlib.suppress(OSError, ValueError):  # stderr may be closed
+        if sys.stderr.isatty() and "tqdm" in sys.modules:
+            sys.modules["tqdm"].tqdm.write(line, file=sys.stderr)  # above the bar
+        else:
+            print(line, file=sys.stderr, flush=True)
+
+
+def _finish(code: int) -> int:
+    """`code`, once all of stdout has really been written; else what that failure means."""
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        _silence_stdout()
+        return 141
+    except OSError as error:
+        _silence_stdout()
+        _complain(f"stdout: cannot be written: {error.strerror}")
+        return 2
+    return code
+
+
+def _silence_stdout() -> None:
+    """Point stdout nowhere, or the interpreter complains again when it flushes at exit."""
+    with contextlib.suppress(OSError, ValueError):
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+        os.close(nowhere)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,206 @@
+"""Pictures of frames and results: polar and fan views with axes in metres and degrees; no logic of its own.
+
+Every function draws into a matplotlib `Axes` or returns a `Figure`; pyplot and its global state are never used. The
+sonar is at the bottom and port is on the left in both views, so column 0 of an image (starboard-most) is on the right.
+Colours can be told apart by the colour-blind (Okabe and Ito) and in grey print.
+"""
+
+from __future__ import annotations
+
+import os
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Array, Float, Real
+from matplotlib.axes import Axes
+from matplotlib.collections import QuadMesh
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from sonarjax.io.atomic import write_atomic
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.render import SonarFrame
+from sonarjax.sonar import Sonar
+
+HIGHLIGHT_COLOR = "#E69F00"  # orange
+SHADOW_COLOR = "#56B4E9"  # sky blue
+MARK_COLOR = "#D55E00"  # vermilion
+UNLIT_COLOR = "#1F2B4D"  # floor outside the vertical aperture: no grey, so that it is not taken for a value
+HIGHLIGHT_LEVEL, SHADOW_LEVEL = 0.75, 0.25  # of the semantic image: half-way from the background to each class
+
+View = Literal["polar", "fan"]
+
+
+def plot_polar(
+    ax: Axes,
+    image: Real[Array | np.ndarray, "range beam"],
+    sonar: Sonar,
+    *,
+    cmap: str = "gray",
+    vmin: float | None = 0.0,
+    vmax: float | None = 1.0,
+) -> QuadMesh:
+    """Draw an image (range, beam) over azimuth [deg] and range [m], port on the left, near at the bottom.
+
+    `vmin` and `vmax` are the values of the darkest and brightest colour, None for the image's own. NaN is left out.
+    Raises SonarjaxError when the image does not have the sonar's shape.
+    """
+    azimuth, ranges = np.meshgrid(np.degrees(_azimuth_edges(sonar)), _range_edges(sonar))
+    mesh = _mesh(ax, azimuth, ranges, image, sonar, cmap, vmin, vmax)
+    ax.set(xlabel="azimuth, to port [°]", ylabel="range [m]")
+    ax.set_xlim(azimuth.max(), azimuth.min())
+    ax.set_ylim(ranges.min(), ranges.max())
+    return mesh
+
+
+def plot_fan(
+    ax: Axes,
+    image: Real[Array | np.ndarray, "range beam"],
+    sonar: Sonar,
+    *,
+    cmap: str = "gray",
+    vmin: float | None = 0.0,
+    vmax: float | None = 1.0,
+) -> QuadMesh:
+    """Draw an image (range, beam) as the true fan in metres, port on the left, the sonar below at (0, 0).
+
+    Lengths are slant ranges: forward is range · cos(azimuth), lateral is range · sin(azimuth) [m]. `vmin`, `vmax` and
+    errors as in `plot_polar`.
+    """
+    lateral, forward = _fan(*np.meshgrid(_azimuth_edges(sonar), _range_edges(sonar)))
+    mesh = _mesh(ax, lateral, forward, image, sonar, cmap, vmin, vmax)
+    ax.set(xlabel="lateral, to port [m]", ylabel="forward, slant range [m]")
+    margin = 0.02 * float(np.ptp(forward))
+    ax.set_xlim(lateral.max() + margin, lateral.min() - margin)
+    ax.set_ylim(forward.min() - margin, forward.max() + margin)
+    ax.set_aspect("equal")
+    ax.spines[["top", "right"]].set_visible(False)
+    return mesh
+
+
+def plot_frame(frame: SonarFrame, sonar: Sonar) -> Figure:
+    """A rendered frame: its intensity [dB] above, its semantic image below, each in polar and fan view.
+
+    Floor that the sonar does not insonify is blue. Raises SonarjaxError when the frame does not have the sonar's shape.
+    """
+    lit = np.asarray(frame.lit)
+    rows: list[tuple[Any, float, float, str, str]] = [
+        (decibel(np.asarray(frame.intensity)), -30.0, 0.0, "Intensity", "dB below the brightest"),
+        (np.asarray(frame.semantic()), 0.0, 1.0, "Semantic image", "shadow 0, background 0.5, highlight 1"),
+    ]
+    figure = Figure(figsize=(10.0, 10.0), layout="constrained")
+    axes = figure.subplots(len(rows), 2)
+    for (polar, fan), (image, low, high, title, unit) in zip(axes, rows, strict=True):
+        shown = np.where(lit, image, np.nan)
+        plot_polar(polar, shown, sonar, vmin=low, vmax=high)
+        mesh = plot_fan(fan, shown, sonar, vmin=low, vmax=high)
+        polar.set_title(f"{title}, polar view")
+        fan.set_title(f"{title}, fan view")
+        figure.colorbar(mesh, ax=[polar, fan], label=unit, shrink=0.8, pad=0.02)
+    if not lit.all():
+        unlit = Patch(color=UNLIT_COLOR, label="floor outside the vertical aperture")
+        figure.legend(handles=[unlit], loc="outside lower center", frameon=False)
+    return figure
+
+
+def plot_scores(
+    ax: Axes,
+    yaws: Float[Array | np.ndarray, "yaw"],
+    scores: Float[Array | np.ndarray, "yaw"],
+    *,
+    threshold: float | None = None,
+) -> None:
+    """Draw the correlation `scores` (yaw,) over `yaws` (yaw,) [rad] in degrees from 0 to 360, the best one marked."""
+    degrees, values = np.degrees(np.asarray(yaws, np.float64)) % 360.0, np.asarray(scores)
+    order = np.argsort(degrees)
+    ax.plot(degrees[order], values[order], ".-", color="#0072B2", markersize=4, linewidth=1)
+    if np.isfinite(values).any():
+        best = int(np.nanargmax(values))
+        ax.plot(degrees[best], values[best], "D", color=MARK_COLOR, markersize=7, label=f"best: {degrees[best]:.0f}°")
+    if threshold is not None:
+        ax.axhline(threshold, color="0.4", linestyle="--", linewidth=1, label=f"threshold: {threshold:.2f}")
+    ax.set(xlabel="yaw [°]", ylabel="correlation", xlim=(0, 360), xticks=range(0, 361, 60))
+    if ax.get_legend_handles_labels()[0]:
+        ax.legend(frameon=False)
+
+
+def draw_outline(
+    ax: Axes,
+    template: Real[Array | np.ndarray, "h w"],
+    sonar: Sonar,
+    *,
+    offset: tuple[int, int] = (0, 0),
+    view: View = "polar",
+    linewidth: float = 1.2,
+) -> None:
+    """Draw the outlines of a semantic template (h, w) over a frame: highlight orange, shadow blue and dashed.
+
+    `offset` is the row and column of the template's first pixel in the frame (`TemplateBank.offset`, or where it
+    matched best). Raises SonarjaxError when the template is not inside the sonar's image.
+    """
+    values = np.asarray(template, np.float64)
+    (row, column), (height, width) = offset, values.shape
+    if row < 0 or column < 0 or row + height > sonar.n_ranges or column + width > sonar.n_beams:
+        raise SonarjaxError(f"outline: a template {values.shape} at {offset} is not inside the image {sonar.shape}")
+    if min(values.shape) < 2:
+        return  # one row or column has no outline
+    edges = _range_edges(sonar)
+    ranges = (edges[1:] + edges[:-1])[row : row + height] / 2
+    azimuth = np.asarray(sonar.azimuth, np.float64)[column : column + width]
+    angle, distance = np.meshgrid(azimuth, ranges)
+    across, along = (np.degrees(angle), distance) if view == "polar" else _fan(angle, distance)
+    for level, color, style in ((HIGHLIGHT_LEVEL, HIGHLIGHT_COLOR, "-"), (SHADOW_LEVEL, SHADOW_COLOR, "--")):
+        if values.min() < level < values.max():  # matplotlib warns of a level without a line
+            ax.contour(across, along, values, levels=[level], colors=color, linestyles=style, linewidths=linewidth)
+
+
+def save_figure(figure: Figure, path: str | os.PathLike[str], dpi: float = 150.0) -> None:
+    """Write a figure in one step: PDF or SVG where `path` ends so, else PNG; the same figure gives the same PNG.
+
+    Raises SonarjaxError when it cannot be written; what stood at `path` is then unchanged.
+    """
+    ending = os.path.splitext(os.fspath(path))[1].lower()
+    kind = ending[1:] if ending in (".pdf", ".svg") else "png"
+    undated = {"png": "Software", "pdf": "CreationDate", "svg": "Date"}[kind]
+    write_atomic(path, lambda file: figure.savefig(file, format=kind, dpi=dpi, metadata={undated: None}))
+
+
+def decibel(intensity: Real[np.ndarray, "range beam"], floor: float = -60.0) -> Float[np.ndarray, "range beam"]:
+    """Intensity (range, beam) in dB relative to its largest value, at least `floor` [dB]; all `floor` where it is 0."""
+    peak = float(np.max(intensity))
+    if not peak > 0:
+        return np.full(intensity.shape, floor)
+    return 10 * np.log10(np.maximum(np.asarray(intensity, np.float64) / peak, 10 ** (floor / 10)))
+
+
+def _mesh(
+    ax: Axes,
+    across: Float[np.ndarray, "range_edge beam_edge"],
+    along: Float[np.ndarray, "range_edge beam_edge"],
+    image: Any,
+    sonar: Sonar,
+    cmap: str,
+    vmin: float | None,
+    vmax: float | None,
+) -> QuadMesh:
+    values = np.asarray(image)
+    if values.shape != sonar.shape:
+        raise SonarjaxError(f"picture: expected an image of the sonar's shape {sonar.shape}, got {values.shape}")
+    mesh = ax.pcolormesh(across, along, values, cmap=cmap, vmin=vmin, vmax=vmax, rasterized=True)
+    mesh.set_cmap(mesh.get_cmap().with_extremes(bad=UNLIT_COLOR))
+    return mesh
+
+
+def _fan(
+    azimuth: Float[np.ndarray, "row column"], ranges: Float[np.ndarray, "row column"]
+) -> tuple[Float[np.ndarray, "row column"], Float[np.ndarray, "row column"]]:
+    """Lateral (to port) and forward coordinates [m] of image points at `azimuth` [rad] and `ranges` [m]."""
+    return ranges * np.sin(azimuth), ranges * np.cos(azimuth)
+
+
+def _azimuth_edges(sonar: Sonar) -> Float[np.ndarray, "beam_edge"]:
+    return np.asarray(sonar.azimuth_edges, np.float64)
+
+
+def _range_edges(sonar: Sonar) -> Float[np.ndarray, "range_edge"]:
+    return np.linspace(float(sonar.range_min), float(sonar.range_max), sonar.n_ranges + 1)

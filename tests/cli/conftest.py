@@ -1,0 +1,121 @@
+"""A target, a small sonar and frames as files, and one frame that the command itself rendered (one compilation)."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+
+import numpy as np
+import pytest
+
+from sonarjax.cli import main
+from sonarjax.io import SonarjaxError
+
+SONAR = """
+n_beams = 24
+field_of_view_deg = 29.0
+range_min_m = 1.5
+range_max_m = 4.0
+n_ranges = 64
+elevation_aperture_deg = 14.0
+tilt_deg = 20.0
+height_m = 0.9
+"""
+SHAPE = (64, 24)
+
+
+@pytest.fixture(autouse=True)
+def no_cache(monkeypatch):
+    """No test writes to the user's compilation cache."""
+    monkeypatch.setenv("SONARJAX_NO_CACHE", "1")
+
+
+@pytest.fixture(scope="session")
+def place(tmp_path_factory) -> Path:
+    """A folder with `sonar.toml`, `brick.stl` (12 triangles, [m]), `brick_mm.stl` and frames `a.npz`, `b.npy`."""
+    folder = tmp_path_factory.mktemp("place")
+    (folder / "sonar.toml").write_text(SONAR)
+    (folder / "brick.stl").write_text(brick_stl((0.19, 0.09, 0.057)))
+    (folder / "brick_mm.stl").write_text(brick_stl((190.0, 90.0, 57.0)))
+    image = np.random.default_rng(0).uniform(0.2, 0.8, SHAPE).astype(np.float32)
+    np.savez(folder / "a.npz", image=image, mask=np.ones(SHAPE, bool))
+    np.save(folder / "b.npy", image)
+    return folder
+
+
+def brick_stl(size: tuple[float, float, float]) -> str:
+    """A box standing on z = 0 as ASCII STL."""
+    corners = np.array([[x, y, z] for z in (0, 1) for y in (-0.5, 0.5) for x in (-0.5, 0.5)]) * size
+    quads = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
+    lines = ["solid brick"]
+    for a, b, c, d in quads:
+        for triangle in ((a, b, c), (a, c, d)):
+            lines += ["facet normal 0 0 0", "outer loop"]
+            lines += [f"vertex {x} {y} {z}" for x, y, z in corners[list(triangle)]]
+            lines += ["endloop", "endfacet"]
+    return "\n".join([*lines, "endsolid brick", ""])
+
+
+@pytest.fixture(scope="session")
+def rendered(place) -> Path:
+    """`rendered.npz` and `rendered.png`: the brick at x 2.2 m, 0.15 m to port, as `sonarjax render` writes it."""
+    arguments = f"--sonar {place}/sonar.toml --x 2.2 --y 0.15 --yaw-deg 30".split()
+    files = ["--out", str(place / "rendered.npz"), "--png", str(place / "rendered.png")]
+    assert main(["render", str(place / "brick.stl"), *arguments, *files]) == 0
+    return place / "rendered.npz"
+
+
+@pytest.fixture
+def stand_in(monkeypatch) -> SimpleNamespace:
+    """Stand-ins for the slow modules behind `segment` and `recognize`; records the calls, `interrupt` stops at a call."""
+    state = SimpleNamespace(calls=[], interrupt=None)
+
+    def recognize(image, mesh, sonar, **options):
+        state.calls.append(options)
+        if len(state.calls) == state.interrupt:
+            raise KeyboardInterrupt
+        if image.shape != sonar.shape:
+            raise SonarjaxError(f"image: expected the sonar's shape {sonar.shape}, got {image.shape}")
+        return float(image.mean())
+
+    def to_json(result, frame, seconds):
+        return {"frame": frame, "score": result, "seconds": seconds, "yaw_std_deg": float("nan"), "schema": 1}
+
+    def segment(image, name, mask=None):
+        state.calls.append(name)
+        return (image > 0.5).astype(np.uint8)
+
+    for name, members in (
+        ("recognize", {"recognize": recognize, "to_json": to_json}),
+        ("segment", {"segment": segment, "SEGMENTERS": ("none", "otsu")}),
+    ):
+        module = ModuleType(f"sonarjax.{name}")
+        vars(module).update(members)
+        monkeypatch.setitem(sys.modules, f"sonarjax.{name}", module)
+    return state
+
+
+@pytest.fixture
+def command(capsys):
+    """`command("info", path)` runs it in this process and gives exit code, stdout and stderr."""
+
+    def run(*arguments) -> tuple[int, str, str]:
+        code = main([str(argument) for argument in arguments])
+        return code, *capsys.readouterr()
+
+    return run
+
+
+@pytest.fixture
+def complaint(command):
+    """`complaint(code, *arguments)` checks the exit code and that stderr is one clear line, which it gives back."""
+
+    def run(expected: int, *arguments) -> str:
+        code, out, err = command(*arguments)
+        assert (code, out) == (expected, ""), err
+        assert err.startswith("sonarjax: error: ")
+        assert err.count("\n") == 1
+        return err
+
+    return run

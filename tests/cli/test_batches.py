@@ -1,0 +1,203 @@
+"""`sonarjax segment`, `recognize` and `info`: the order, what is kept, the exit codes; slow parts are stand-ins."""
+
+import json
+import os
+import struct
+
+import numpy as np
+import pytest
+
+SHAPE = (64, 24)
+
+
+def recording(n_frames: int, n_ranges: int = 64) -> bytes:
+    """A DDF_05 (ARIS) file with 48 beams."""
+    content = bytearray(1024)
+    struct.pack_into("<I", content, 0, 0x05464444)
+    for number in range(n_frames):
+        header = bytearray(1024)
+        for offset, layout, *values in (
+            (0, "IQI", number, 10**15, 0x05464444),
+            (436, "II", 1, 1),
+            (452, "I", 5),
+            (464, "fI", 1450.0, n_ranges),
+            (476, "III", 1000, 0, 0),
+            (516, "I", 1),
+        ):
+            struct.pack_into("<" + layout, header, offset, *values)
+        content += header + bytes(n_ranges * 48)
+    return bytes(content)
+
+
+@pytest.fixture
+def bad(tmp_path, place):
+    """One frame of each kind that cannot be read, by what is said of it."""
+    nan = np.full(SHAPE, np.nan, np.float32)
+    np.save(tmp_path / "nan.npy", nan)
+    np.save(tmp_path / "cube.npy", np.zeros((2, 3, 4), np.float32))
+    np.savez(tmp_path / "other.npz", labels=np.zeros(SHAPE, np.uint8))
+    (tmp_path / "short.aris").write_bytes(recording(1)[:1500])
+    (tmp_path / "empty.png").write_bytes(b"")
+    (tmp_path / "notes.txt").write_text("words")
+    names = {"nan.npy": "NaN", "cube.npy": "shape", "other.npz": "image", "short.aris": "truncated"}
+    names |= {"empty.png": "empty", "notes.txt": "ending", "absent.npz": "no such file", ".": "folder"}
+    return {str(tmp_path / name): said for name, said in names.items()}
+
+
+@pytest.fixture
+def recognize(command, place):
+    """`recognize(frames, out, *options)` gives exit code, stderr and the records of `out`."""
+
+    def run(frames, out, *options):
+        target = ["--target", place / "brick.stl", "--sonar", place / "sonar.toml", "--out", out]
+        code, stdout, err = command("recognize", *frames, *target, *options)
+        assert stdout == ""
+        assert "Traceback" not in err
+        return code, err, [json.loads(line) for line in out.read_text().splitlines()]
+
+    return run
+
+
+def test_lines_come_in_order_and_are_appended(recognize, stand_in, place, tmp_path):
+    out = tmp_path / "r.jsonl"
+    frames = [place / "a.npz", place / "b.npy"]
+    code, err, records = recognize(frames, out)
+    assert (code, err) == (0, "")
+    assert [record["frame"] for record in records] == [str(frame) for frame in frames]
+    assert all(record["seconds"] > 0 and record["yaw_std_deg"] is None for record in records)
+    _, _, records = recognize(frames[::-1], out)
+    assert [record["frame"] for record in records] == [str(frame) for frame in frames + frames[::-1]]
+
+
+def test_options_and_mask_reach_recognize(recognize, stand_in, place, tmp_path):
+    recognize([place / "a.npz", place / "b.npy"], tmp_path / "r.jsonl")
+    recognize(
+        [place / "b.npy"], tmp_path / "r.jsonl", "--no-refine", "--threshold", "-.25", "--segmenter", "none"
+    )  # fmt: skip
+    first, second, third = stand_in.calls
+    assert first["mask"].shape == SHAPE
+    assert {**first, "mask": None} == second == {"segmenter": "otsu", "refine": True, "threshold": None, "mask": None}
+    assert third == {"segmenter": "none", "refine": False, "threshold": -0.25, "mask": None}
+
+
+def test_unreadable_frames_have_a_line_each_and_the_batch_goes_on(recognize, stand_in, bad, place, tmp_path):
+    good = str(place / "a.npz")
+    code, err, records = recognize([*bad, good], tmp_path / "r.jsonl")
+    assert code == 1
+    assert [record["frame"] for record in records] == [*bad, good]
+    assert err.count("\n") == len(bad)
+    for record, said in zip(records, bad.values(), strict=False):
+        assert set(record) == {"frame", "error", "schema"}
+        assert said in record["error"]
+        assert record["error"].startswith(record["frame"])
+    assert "score" in records[-1]
+
+
+def test_a_frame_that_does_not_fit_the_sonar_is_an_error_line(recognize, stand_in, place, tmp_path):
+    np.save(tmp_path / "wide.npy", np.zeros((64, 25), np.float32))
+    code, err, records = recognize([tmp_path / "wide.npy", place / "b.npy"], tmp_path / "r.jsonl")
+    assert code == 1
+    assert f"{tmp_path}/wide.npy: image: expected" in err
+    assert ["error" in record for record in records] == [True, False]
+
+
+def test_a_recording_gives_all_its_frames(recognize, stand_in, place, tmp_path):
+    path = tmp_path / "three.aris"
+    path.write_bytes(recording(3))
+    sonar = tmp_path / "sonar.toml"
+    sonar.write_text((place / "sonar.toml").read_text().replace("n_beams = 24", "n_beams = 48"))
+    frames = [path, f"{path}:1", f"{path}:7"]
+    code, err, records = recognize(frames, tmp_path / "r.jsonl", "--sonar", sonar)
+    assert code == 1
+    assert [record["frame"] for record in records] == [f"{path}:{n}" for n in (0, 1, 2, 1, 7)]
+    assert ["error" in record for record in records] == [False] * 4 + [True]
+    assert "frame 7: expected 0 to 2" in err
+
+
+def test_an_interrupt_keeps_what_is_written(recognize, stand_in, place, tmp_path):
+    stand_in.interrupt = 2
+    code, err, records = recognize([place / "a.npz", place / "b.npy", place / "a.npz"], tmp_path / "r.jsonl")
+    assert (code, err) == (130, "sonarjax: interrupted\n")
+    assert len(records) == 1
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "said"),
+    [
+        ("--target", "absent.stl", "no such mesh"),
+        ("--target", ".", "folder"),
+        ("--target", "brick_mm.stl", "millimetres"),
+        ("--sonar", "absent.toml", "no such file"),
+        ("--sonar", "brick.stl", "TOML"),
+        ("--out", ".", "folder|directory"),
+        ("--out", "absent/r.jsonl", "cannot be opened"),
+        ("--out", "/proc/r.jsonl", "cannot be opened"),
+        ("--out", "/dev/full", "cannot be written"),
+        ("--segmenter", "unet", "none or otsu"),
+    ],
+)
+def test_what_stops_a_batch(complaint, stand_in, place, tmp_path, option, value, said):
+    if value.startswith("/") and not os.path.exists(value if "full" in value else os.path.dirname(value)):
+        pytest.skip(f"needs {value}")
+    out = tmp_path / "r.jsonl"
+    options = {"--target": place / "brick.stl", "--sonar": place / "sonar.toml", "--out": out}
+    options[option] = value if option == "--segmenter" else place / value
+    message = complaint(2, "recognize", place / "a.npz", *[part for pair in options.items() for part in pair])
+    assert any(words in message.lower() for words in said.lower().split("|"))
+    assert not out.exists()
+
+
+def test_segment_writes_labels_by_stem(command, stand_in, place, tmp_path):
+    path = tmp_path / "two.aris"
+    path.write_bytes(recording(2))
+    folder = tmp_path / "new" / "labels"
+    assert command("segment", place / "a.npz", path, "--out-dir", folder) == (0, "", "")
+    assert sorted(file.name for file in folder.iterdir()) == [
+        "labels_a.npz", "labels_two_0.npz", "labels_two_1.npz"
+    ]  # fmt: skip
+    with np.load(folder / "labels_a.npz") as labels:
+        assert list(labels) == ["labels"]
+        assert (labels["labels"].shape, labels["labels"].dtype) == (SHAPE, np.uint8)
+    assert set(stand_in.calls) == {"otsu"}
+
+
+def test_segment_goes_on_after_an_unreadable_frame(command, stand_in, bad, place, tmp_path):
+    code, out, err = command("segment", *bad, place / "b.npy", "--out-dir", tmp_path / "labels")
+    assert (code, out) == (1, "")
+    assert err.count("sonarjax: error: ") == err.count("\n") == len(bad)
+    assert os.listdir(tmp_path / "labels") == ["labels_b.npz"]
+
+
+def test_segment_never_overwrites_one_frame_by_another(complaint, stand_in, place, tmp_path):
+    np.save(tmp_path / "a.npy", np.zeros(SHAPE, np.float32))
+    assert "same stem" in complaint(2, "segment", place / "a.npz", tmp_path / "a.npy", "--out-dir", tmp_path / "labels")
+
+
+@pytest.mark.parametrize("folder", ["file", "file/below", "/proc/labels"])
+def test_segment_needs_a_folder(complaint, stand_in, place, tmp_path, folder):
+    (tmp_path / "file").write_text("")
+    assert "folder" in complaint(2, "segment", place / "a.npz", "--out-dir", tmp_path / folder)
+
+
+def test_info_tells_what_a_file_holds(command, place, tmp_path):
+    (tmp_path / "two.aris").write_bytes(recording(2))
+    for path, word in ((place / "a.npz", "64 range bins x 24 beams"), (tmp_path / "two.aris", "48 beams")):
+        code, out, err = command("info", path)
+        assert (code, err) == (0, "")
+        assert word in out
+
+
+def test_info_of_what_cannot_be_read(complaint, bad, tmp_path):
+    for path, said in bad.items():
+        if not path.endswith("other.npz"):  # an NPZ without a frame is worth a look
+            assert said in complaint(1, "info", path)
+    assert "no such file" in complaint(2, "info", tmp_path / "absent.toml")
+
+
+def test_the_bar_shows_only_on_a_terminal(recognize, stand_in, place, tmp_path, monkeypatch):
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    np.save(tmp_path / "nan.npy", np.full(SHAPE, np.nan))
+    code, err, records = recognize([place / "a.npz", tmp_path / "nan.npy"], tmp_path / "r.jsonl")
+    assert (code, len(records)) == (1, 2)
+    assert "2/2" in err
+    assert "sonarjax: error: " in err

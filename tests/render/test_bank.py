@@ -1,0 +1,112 @@
+"""The template bank: crops of the full frame's semantic image, over any list of yaws."""
+
+import math
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.render import bank_place, floor_point, image_azimuth, render, template_bank
+from sonarjax.scene import Pose, objects
+from sonarjax.sonar import Sonar
+
+SONAR = Sonar.preset("didson-hf", tilt=math.radians(20.0), height=0.9)
+X, Y = 2.25, -0.1
+YAWS = np.radians(np.arange(360.0))
+
+
+@pytest.fixture(scope="module")
+def brick():
+    return objects.brick()
+
+
+@pytest.fixture(scope="module")
+def bank(brick):
+    return template_bank(brick, SONAR, YAWS, x=X, y=Y)
+
+
+def full(brick, yaw):
+    """The whole frame's semantic image at the bank's own quality."""
+    return np.asarray(render(brick, Pose(x=X, y=Y, yaw=float(yaw)), SONAR, sub_beams=1, elevations=64).semantic())
+
+
+def test_360_templates(bank):
+    yaws, h, w = bank.templates.shape
+    assert yaws == 360 and bank.templates.dtype == jnp.float32
+    assert h < 256 and w < 48  # the object's box, not the frame: 360 whole frames would take 70 MB
+    assert bank.templates.nbytes < 20e6
+    np.testing.assert_allclose(bank.yaws, YAWS, atol=1e-6)
+    values = np.asarray(bank.templates)
+    assert values.min() >= 0 and values.max() <= 1 and values.min() < 0.02 and values.max() > 0.98
+    assert bank.bearing == pytest.approx(math.atan2(Y, X)) and bank.ground_range == pytest.approx(math.hypot(X, Y))
+    assert (bank.x, bank.y) == (X, Y) and bank.tilt == pytest.approx(math.radians(20.0))
+
+
+@pytest.mark.parametrize("index", [0, 1, 37, 90, 200, 359])
+def test_templates_are_crops_of_the_frame(brick, bank, index):
+    image = full(brick, YAWS[index])
+    row, column = bank.offset
+    _, h, w = bank.templates.shape
+    inside = np.zeros(image.shape, bool)
+    inside[row : row + h, column : column + w] = True
+    np.testing.assert_allclose(bank.templates[index], image[row : row + h, column : column + w], atol=1e-4)
+    assert np.abs(image[~inside] - 0.5).max() < 0.011  # nothing of the object is cut off
+
+
+def test_margin_around_the_union_of_all_yaws(bank):
+    touched = (np.abs(np.asarray(bank.templates) - 0.5) > 0.01).any(0)
+    rows, columns = np.flatnonzero(touched.any(1)), np.flatnonzero(touched.any(0))
+    h, w = touched.shape
+    assert (rows[0], h - 1 - rows[-1], columns[0], w - 1 - columns[-1]) == (12, 12, 3, 3)
+
+
+def test_templates_differ_between_yaws(bank):
+    """A brick looks the same after half a turn, and different after a quarter."""
+    values = np.asarray(bank.templates)
+    assert np.abs(values[0] - values[180]).max() < 1e-3
+    assert np.abs(values[0] - values[90]).mean() > 0.01
+
+
+def test_any_list_of_yaws(brick):
+    wild = [7.0, -0.5, 0.2, 7.0]
+    bank = template_bank(brick, SONAR, wild, x=X, y=Y)
+    np.testing.assert_allclose(bank.yaws, wild, atol=1e-6)
+    row, column = bank.offset
+    _, h, w = bank.templates.shape
+    for template, yaw in zip(np.asarray(bank.templates), wild, strict=True):
+        np.testing.assert_allclose(template, full(brick, yaw)[row : row + h, column : column + w], atol=1e-4)
+    np.testing.assert_array_equal(bank.templates[0], bank.templates[3])
+
+
+@pytest.mark.parametrize("yaws", [[], [0.0, math.nan], [math.inf], [[0.0, 1.0]]])
+def test_bad_yaws_are_refused(brick, yaws):
+    with pytest.raises(SonarjaxError, match="yaws"):
+        template_bank(brick, SONAR, yaws, x=X)
+
+
+@pytest.mark.parametrize(("x", "y"), [(6.0, 0.0), (-2.2, 0.0), (2.2, 2.0), (0.4, 0.0)])
+def test_out_of_view_is_refused(brick, x, y):
+    with pytest.raises(SonarjaxError, match="outside the sonar's view"):
+        template_bank(brick, SONAR, [0.0, 1.0], x=x, y=y)
+
+
+def test_floor_point_is_the_inverse_of_image_azimuth():
+    rng = np.random.default_rng(0)
+    for tilt in (0.0, 0.26, 0.35, 0.44):
+        sonar = SONAR.replace(tilt=tilt)
+        x, y = jnp.asarray(rng.uniform([1.4, -0.8], [3.8, 0.8], (200, 2)).T, jnp.float32)
+        back = floor_point(jnp.sqrt(x**2 + y**2 + 0.81), image_azimuth(x, y, sonar), sonar)
+        np.testing.assert_allclose(back[0], x, atol=1e-5)
+        np.testing.assert_allclose(back[1], y, atol=1e-5)
+
+
+def test_bank_place_is_where_the_object_stands(bank):
+    slant, azimuth = bank_place(bank, SONAR)
+    assert slant == pytest.approx(math.sqrt(X**2 + Y**2 + 0.81))
+    x, y = floor_point(slant, azimuth, SONAR)
+    assert (float(x), float(y)) == (pytest.approx(X, abs=1e-5), pytest.approx(Y, abs=1e-5))
+    # In the image: inside the bank's box, right of its first column.
+    row = (slant - float(SONAR.range_min)) / float(SONAR.range_bin) - bank.offset[0]
+    column = int(np.searchsorted(np.asarray(SONAR.azimuth_edges), azimuth)) - 1 - bank.offset[1]
+    assert 0 < row < bank.templates.shape[1] and 0 < column < bank.templates.shape[2]
