@@ -31,11 +31,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         args = _parser().parse_args(argv)
     except SystemExit as stop:  # --help, or arguments that cannot be used
-        return _finish(int(stop.code or 0))
+        return int(stop.code or 0)
     from sonarjax.io import SonarjaxError
 
     try:
-        return _finish(args.run(args))
+        return args.run(args)
     except SonarjaxError as error:
         _complain(str(error))
     except KeyboardInterrupt:
@@ -156,7 +156,7 @@ def _correlation(text: str) -> float:
 
 
 def _sub_beams(text: str) -> int:
-    number = _limited(text, 1, MAX_SUB_BEAMS)
+    number = _limited(text, 1.0, float(MAX_SUB_BEAMS))
     if number != int(number):
         raise argparse.ArgumentTypeError(f"expected a whole number, got {text!r}")
     return int(number)
@@ -212,9 +212,9 @@ def _write_frame(path: str, frame: Lazy, sonar: Lazy) -> None:
 def _segment(args: argparse.Namespace) -> int:
     _start_jax()
     import numpy as np
-    from sonarjax.segment import segment
 
     from sonarjax.io import SonarjaxError, write_npz
+    from sonarjax.segment import segment
 
     _make_folder(args.out_dir)
     code, written = 0, dict[str, str]()
@@ -236,10 +236,9 @@ def _segment(args: argparse.Namespace) -> int:
 
 def _recognize(args: argparse.Namespace) -> int:
     _start_jax()
-    from sonarjax.segment import SEGMENTERS
-
     from sonarjax.io import JsonLines, SonarjaxError
     from sonarjax.scene import Mesh
+    from sonarjax.segment import SEGMENTERS
     from sonarjax.sonar import Sonar
 
     if args.segmenter not in SEGMENTERS:
@@ -291,8 +290,7 @@ def _info(args: argparse.Namespace) -> int:
     except SonarjaxError as error:
         _complain(str(error))
         return 2 if args.file.lower().endswith(".toml") else 1
-    encoding = sys.stdout.encoding or "utf-8"
-    print(text.encode(encoding, "backslashreplace").decode(encoding))  # a terminal may not know every letter
+    _say(text)
     return 0
 
 
@@ -356,18 +354,18 @@ def _complain(message: str, kind: str = "error: ") -> None:
             print(line, file=sys.stderr, flush=True)
 
 
-def _finish(code: int) -> int:
-    """`code`, once all of stdout has really been written; else what that failure means."""
+def _say(text: str) -> None:
+    """Print to stdout, now. Raises SonarjaxError when it cannot be written, BrokenPipeError when nobody reads it."""
+    from sonarjax.io import SonarjaxError
+
+    encoding = sys.stdout.encoding or "utf-8"
     try:
-        sys.stdout.flush()
+        print(text.encode(encoding, "backslashreplace").decode(encoding), flush=True)  # ASCII terminals exist
     except BrokenPipeError:
-        _silence_stdout()
-        return 141
+        raise
     except OSError as error:
         _silence_stdout()
-        _complain(f"stdout: cannot be written: {error.strerror}")
-        return 2
-    return code
+        raise SonarjaxError(f"stdout: cannot be written: {error.strerror}") from error
 
 
 def _silence_stdout() -> None:

@@ -37,8 +37,8 @@ def plot_polar(
     sonar: Sonar,
     *,
     cmap: str = "gray",
-    vmin: float | None = 0.0,
-    vmax: float | None = 1.0,
+    vmin: float | int | None = 0,
+    vmax: float | int | None = 1,
 ) -> QuadMesh:
     """Draw an image (range, beam) over azimuth [deg] and range [m], port on the left, near at the bottom.
 
@@ -59,8 +59,8 @@ def plot_fan(
     sonar: Sonar,
     *,
     cmap: str = "gray",
-    vmin: float | None = 0.0,
-    vmax: float | None = 1.0,
+    vmin: float | int | None = 0,
+    vmax: float | int | None = 1,
 ) -> QuadMesh:
     """Draw an image (range, beam) as the true fan in metres, port on the left, the sonar below at (0, 0).
 
@@ -108,7 +108,7 @@ def plot_scores(
     yaws: Float[Array | np.ndarray, "yaw"],
     scores: Float[Array | np.ndarray, "yaw"],
     *,
-    threshold: float | None = None,
+    threshold: float | int | None = None,
 ) -> None:
     """Draw the correlation `scores` (yaw,) over `yaws` (yaw,) [rad] in degrees from 0 to 360, the best one marked."""
     degrees, values = np.degrees(np.asarray(yaws, np.float64)) % 360.0, np.asarray(scores)
@@ -131,7 +131,7 @@ def draw_outline(
     *,
     offset: tuple[int, int] = (0, 0),
     view: View = "polar",
-    linewidth: float = 1.2,
+    linewidth: float | int = 1.2,
 ) -> None:
     """Draw the outlines of a semantic template (h, w) over a frame: highlight orange, shadow blue and dashed.
 
@@ -154,7 +154,7 @@ def draw_outline(
             ax.contour(across, along, values, levels=[level], colors=color, linestyles=style, linewidths=linewidth)
 
 
-def save_figure(figure: Figure, path: str | os.PathLike[str], dpi: float = 150.0) -> None:
+def save_figure(figure: Figure, path: str | os.PathLike[str], dpi: float | int = 150) -> None:
     """Write a figure in one step: PDF or SVG where `path` ends so, else PNG; the same figure gives the same PNG.
 
     Raises SonarjaxError when it cannot be written; what stood at `path` is then unchanged.
@@ -180,8 +180,8 @@ def _mesh(
     image: Any,
     sonar: Sonar,
     cmap: str,
-    vmin: float | None,
-    vmax: float | None,
+    vmin: float | int | None,
+    vmax: float | int | None,
 ) -> QuadMesh:
     values = np.asarray(image)
     if values.shape != sonar.shape:

@@ -25,38 +25,44 @@ def strength(
 
 
 def object_energy(
-    ends: tuple[Ends, Ends], slabs: Slabs, scene: Scene, sonar: Sonar, elevations: int, edges: Float[Array, "edge"]
+    ends: Ends, slabs: Slabs, scene: Scene, sonar: Sonar, elevations: int, edges: Float[Array, "edge"]
 ) -> Float[Array, "slab range"]:
     """Energy [rad/m²] per range bin of each slab, from the visible pieces' `ends`; `edges` (edge,) [m].
 
     Each piece is cut into cells, so that a slice has at least `elevations` of them; a cell's energy is spread evenly
     over the ranges it covers, widened by what its surface moves in range across the slab.
     """
-    cells = max(1, math.ceil(elevations / ends[0].tau.shape[1]))
-    share = jnp.linspace(0.0, 1.0, cells + 1)
-    total = jnp.zeros((len(slabs.middle), len(edges) - 1))
-    ranges = [_cell_ranges(ends, slabs.middle + sign * GAUSS * slabs.width, scene, share) for sign in (-1.0, 1.0)]
-    moved = jnp.abs(ranges[1][0] - ranges[0][0]) / (8 * GAUSS)
-    for distance, tau, cosine in ranges:
-        near, far = jnp.minimum(distance[..., 1:], distance[..., :-1]), jnp.maximum(distance[..., 1:], distance[..., :-1])
-        half = (moved[..., 1:] + moved[..., :-1]) / 2
-        angle = jnp.diff(jnp.arctan(tau), axis=-1)
-        energy = angle * strength((near + far) / 2, (cosine[..., 1:] + cosine[..., :-1]) / 2, sonar)
-        energy = jnp.where(ends[0].surface[..., None] >= 0, energy, 0.0) / 2
-        total = total + _spread(energy, near - half, far + half, edges)
-    return total
+    pieces = ends.tau.shape[1] // 2
+    cells = max(1, math.ceil(elevations / pieces))
+    nodes = slabs.middle + GAUSS * slabs.width * jnp.array([[-1.0], [1.0]])
+    distance, tau, cosine = _cells(ends, nodes, scene, cells)  # (node, slab, piece, cell end)
+    moved = jnp.abs(distance[1] - distance[0]) / (8 * GAUSS)
+    widen = (moved[..., 1:] + moved[..., :-1]) / 2
+    near = jnp.minimum(distance[..., 1:], distance[..., :-1]) - widen
+    far = jnp.maximum(distance[..., 1:], distance[..., :-1]) + widen
+    angle = jnp.diff(jnp.arctan(tau), axis=-1)
+    energy = angle * strength((near + far) / 2, (cosine[..., 1:] + cosine[..., :-1]) / 2, sonar) / 2
+    energy = jnp.where(ends.surface[:, :pieces, None] >= 0, energy, 0.0)
+
+    def by_slab(values: Array) -> Array:  # (node, slab, piece, cell) -> (slab, everything)
+        return jnp.moveaxis(values, 0, 1).reshape(values.shape[1], -1)
+
+    return _spread(by_slab(energy), by_slab(near), by_slab(far), edges)
 
 
-def _cell_ranges(
-    ends: tuple[Ends, Ends], azimuth: Float[Array, "slab"], scene: Scene, share: Float[Array, "node"]
+def _cells(
+    ends: Ends, azimuth: Float[Array, "node slab"], scene: Scene, cells: int
 ) -> tuple[Array, Array, Array]:
-    """Range [m], elevation tangent and cos(incidence) (slab, piece, node) of the cells' ends at `azimuth` [rad]."""
-    theta = jnp.broadcast_to(azimuth[:, None], ends[0].tau.shape)
-    line = plane_line(corners_of(scene, ends[0].surface), theta)
-    low, high = (trace_tau(end, azimuth, scene, line) for end in ends)
+    """Range [m], elevation tangent and cos(incidence) (node, slab, piece, cell end) at `azimuth` [rad]."""
+    theta = azimuth[..., None]
+    corners = corners_of(scene, ends.surface)
+    line = jnp.stack(plane_line(corners, theta), -1)
+    low, high = jnp.split(trace_tau(ends, theta, scene, (line[..., 0], line[..., 1])), 2, axis=-1)
+    share = jnp.linspace(0.0, 1.0, cells + 1)
     tau = low[..., None] + jnp.maximum(high - low, 0.0)[..., None] * share
-    distance = piece_range(jnp.stack(line, -1)[..., None, :], tau)
-    corners = corners_of(scene, ends[0].surface)
+    pieces = low.shape[-1]
+    distance = piece_range(line[..., :pieces, None, :], tau)
+    corners = corners[:, :pieces]
     normal = jnp.cross(corners[..., 1, :] - corners[..., 0, :], corners[..., 2, :] - corners[..., 0, :])
     normal = normal / jnp.sqrt((normal**2).sum(-1, keepdims=True) + 1e-24)
     lateral = normal[..., 0] * jnp.cos(theta) + normal[..., 1] * jnp.sin(theta)
@@ -65,7 +71,7 @@ def _cell_ranges(
 
 
 def _spread(energy: Array, near: Array, far: Array, edges: Float[Array, "edge"]) -> Float[Array, "slab range"]:
-    """Energies (slab, piece, cell) spread evenly over [near, far] [m], as the difference of two ramps at each edge.
+    """Energies (slab, cell) spread evenly over [near, far] [m], as the difference of two ramps at each edge.
 
     The ramps are scattered at their ends and summed along range: the cost does not grow with the number of bins.
     """
@@ -73,7 +79,7 @@ def _spread(energy: Array, near: Array, far: Array, edges: Float[Array, "edge"])
     start, stop = (near - edges[0]) / step, (far - edges[0]) / step
     length = jnp.maximum(stop - start, 1e-3)
     density = energy / length
-    slab = jnp.arange(len(energy))[:, None, None]
+    slab = jnp.arange(len(energy))[:, None]
     changes = jnp.zeros((len(energy), bins + 2))
     for end, sign in ((start, 1.0), (start + length, -1.0)):
         inside = jnp.clip(end, 0.0, bins + 0.0)

@@ -9,9 +9,9 @@ from jaxtyping import Array, Bool, Float
 from sonarjax.render.slices import GAUSS
 
 
-def swept(at_low: Float[Array, "*batch"], at_high: Float[Array, "*batch"]) -> tuple[Array, Array]:
-    """Middle and half-sweep [m] of an end over its slab, from its ranges at the two Gauss nodes [m] (linear in azimuth)."""
-    return (at_low + at_high) / 2, (at_high - at_low) * (0.25 / GAUSS)
+def swept(at_nodes: Float[Array, "2 slab item"]) -> tuple[Float[Array, "slab item"], Float[Array, "slab item"]]:
+    """Middle and half-sweep of an end over its slab, from its values at the two Gauss nodes (linear in azimuth)."""
+    return (at_nodes[0] + at_nodes[1]) / 2, (at_nodes[1] - at_nodes[0]) * (0.25 / GAUSS)
 
 
 def covered(

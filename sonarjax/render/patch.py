@@ -11,18 +11,18 @@ from sonarjax.sonar import Sonar
 FAR_M = 1e4
 
 
-def patch_span(azimuth: Float[Array, "slab"], scene: Scene, sonar: Sonar) -> tuple[Array, Array]:
-    """First and last slant range [m], each (slab, 1), at which the slice lies on the platform; (0, FAR_M) without one.
+def patch_span(azimuth: Float[Array, "*slab"], scene: Scene, sonar: Sonar) -> tuple[Array, Array]:
+    """First and last slant range [m], each (..., slab, 1), at which the slice lies on the platform; (0, FAR_M) without one.
 
     On the floor of a slice every side of the rectangle is a linear inequality in tau.
     """
     if sonar.floor is None:
-        return jnp.zeros((len(azimuth), 1)), jnp.full((len(azimuth), 1), FAR_M)
+        return jnp.zeros((*azimuth.shape, 1)), jnp.full((*azimuth.shape, 1), FAR_M)
     a, b = floor_line(azimuth, scene.view)
     low, high = _tau_span(azimuth, a, b, sonar)
     line = jnp.stack(jnp.broadcast_arrays(a, b), -1)
     start, stop = piece_range(line, low), piece_range(line, jnp.maximum(high, low))
-    return start[:, None], stop[:, None]
+    return start[..., None], stop[..., None]
 
 
 def _tau_span(azimuth: Array, a: Array, b: Array, sonar: Sonar) -> tuple[Array, Array]:

@@ -39,12 +39,14 @@ class Ends(NamedTuple):
 
 
 class Outline(NamedTuple):
-    """All that a slab shows: runs' nearest and farthest points, stretches' lower and upper ends."""
+    """All that a slab shows. One array holds all ends, so that one pass follows them through the vertices."""
 
-    near: Ends
-    far: Ends
-    lower: Ends
-    upper: Ends
+    ends: Ends
+    """Ends (slab, 4 × item): runs' nearest points, runs' farthest points, stretches' lower ends, their upper ends."""
+    runs: Bool[Array, "slab item"]
+    """Which runs exist."""
+    stretches: Bool[Array, "slab item"]
+    """Which stretches exist."""
 
 
 def max_items(crossings: int) -> int:
@@ -80,25 +82,17 @@ def find_outline(
     nearest = jnp.minimum(jnp.minimum(start, end), foot_range)
     number = jnp.arange(real.shape[1])
     near, far = _extreme(nearest, run, -1), _extreme(jnp.maximum(start, end), run, 1)
-    lower = jnp.where(stretch, number[:, None], len(number)).min(axis=1)
-    upper = jnp.where(stretch, number[:, None], -1).max(axis=1)
-
-    def ends(piece: Array, upper_end: Array, any_item: Array, foot: Array) -> Ends:
-        piece = jnp.clip(piece, 0, len(number) - 1)
-        return _ends(pieces, segments, table, piece, upper_end, any_item, foot)
-
-    def pick(values: Array, piece: Array) -> Array:
-        return jnp.take_along_axis(values, jnp.clip(piece, 0, len(number) - 1), axis=1)
-
-    has_run, has_stretch = run.any(axis=1), stretch.any(axis=1)
-    no_foot = jnp.zeros(has_run.shape, bool)
-    near_foot = pick(foot_range < jnp.minimum(start, end), near)
-    return Outline(
-        near=ends(near, pick(end < start, near), has_run, near_foot),
-        far=ends(far, pick(end > start, far), has_run, no_foot),
-        lower=ends(lower, no_foot, has_stretch, no_foot),
-        upper=ends(upper, ~no_foot, has_stretch, no_foot),
-    )
+    lower = jnp.where(stretch, number[:, None], len(number) - 1).min(axis=1)
+    upper = jnp.where(stretch, number[:, None], 0).max(axis=1)
+    piece = jnp.concatenate([near, far, lower, upper], axis=1)
+    at_start, at_end, at_foot = (jnp.take_along_axis(v, piece, axis=1) for v in (start, end, foot_range))
+    role = jnp.repeat(jnp.arange(4), items)
+    nearer_end = at_end < at_start
+    upper_end = jnp.where(role == 0, nearer_end, jnp.where(role == 1, ~nearer_end, role == 3))
+    at_foot = (role == 0) & (at_foot < jnp.minimum(at_start, at_end))
+    runs, stretches = run.any(axis=1), stretch.any(axis=1)
+    exists = jnp.concatenate([runs, runs, stretches, stretches], axis=1)
+    return Outline(_ends(pieces, segments, table, piece, upper_end, exists, at_foot), runs, stretches)
 
 
 def _of_candidate(values: Float[Array, "slab candidate 2"], index: Int[Array, "slab piece"]) -> Array:
@@ -148,15 +142,13 @@ def _ends(
     return Ends(surface, source, jnp.where(how == EDGE, kind, how), edge, at(pieces.tau), foot)
 
 
-def all_ends(pieces: Pieces, segments: Segments, table: Int[Array, "slab candidate"]) -> tuple[Ends, Ends]:
-    """The lower and upper ends (slab, piece) of every visible piece, for the energy integral."""
+def all_ends(pieces: Pieces, segments: Segments, table: Int[Array, "slab candidate"]) -> Ends:
+    """The ends (slab, 2 × piece) of every visible piece, all lower ones first, for the energy integral."""
     piece = jnp.broadcast_to(jnp.arange(pieces.winner.shape[1]), pieces.winner.shape)
-    upper = jnp.ones(piece.shape, bool)
     solid = (pieces.winner >= 0) & (pieces.tau[..., 1] - pieces.tau[..., 0] > EMPTY_TAU)
-    return (
-        _ends(pieces, segments, table, piece, ~upper, solid, ~upper),
-        _ends(pieces, segments, table, piece, upper, solid, ~upper),
-    )
+    upper = jnp.repeat(jnp.array([False, True]), piece.shape[1]) & jnp.ones((len(piece), 1), bool)
+    piece, solid = jnp.tile(piece, 2), jnp.tile(solid, 2)
+    return _ends(pieces, segments, table, piece, upper, solid, jnp.zeros_like(upper))
 
 
 class Scene(NamedTuple):
@@ -182,16 +174,15 @@ def floor_line(azimuth: Float[Array, "*batch"], view: View) -> tuple[Array, Arra
 
 
 def trace_tau(
-    ends: Ends, azimuth: Float[Array, "slab"], scene: Scene, surface: tuple[Array, Array]
-) -> Float[Array, "slab item"]:
-    """Elevation tangent of each end at another `azimuth` [rad] of its slab; `surface` is the line (a, b) there."""
-    theta = jnp.broadcast_to(azimuth[:, None], ends.tau.shape)
+    ends: Ends, azimuth: Float[Array, "*batch slab 1"], scene: Scene, surface: tuple[Array, Array]
+) -> Float[Array, "*batch slab item"]:
+    """Elevation tangent of each end at other azimuths [rad] of its slab; `surface` is the line (a, b) there."""
     corners = corners_of(scene, ends.source)
     first = _corner(corners, ends.edge)
     second = _corner(corners, (ends.edge + 1) % 3)
-    rho, z = edge_point(first, second, theta)
-    a, b = plane_line(corners, theta)
-    floor_a, floor_b = floor_line(theta, scene.view)
+    rho, z = edge_point(first, second, azimuth)
+    a, b = plane_line(corners, azimuth)
+    floor_a, floor_b = floor_line(azimuth, scene.view)
     at_floor = ends.kind == FLOOR
     other_a, other_b = jnp.where(at_floor, floor_a, surface[0]), jnp.where(at_floor, floor_b, surface[1])
     slope = b - other_b
@@ -210,21 +201,23 @@ def _corner(corners: Float[Array, "*batch 3 3"], index: Int[Array, "*batch"]) ->
     return jnp.where(i == 0, corners[..., 0, :], jnp.where(i == 1, corners[..., 1, :], corners[..., 2, :]))
 
 
-def trace_range(ends: Ends, azimuth: Float[Array, "slab"], scene: Scene) -> Float[Array, "slab item"]:
-    """Slant range [m] of each end on its surface at `azimuth` [rad]."""
-    theta = jnp.broadcast_to(azimuth[:, None], ends.tau.shape)
-    line = plane_line(corners_of(scene, ends.surface), theta)
-    tau = trace_tau(ends, azimuth, scene, line)
-    foot = jax.lax.rsqrt(line[0] ** 2 + line[1] ** 2 + 1e-12)
-    return jnp.where(ends.foot, foot, piece_range(jnp.stack(line, -1), tau))
+def trace_ranges(
+    outline: Outline, azimuth: Float[Array, "node slab"], scene: Scene
+) -> Float[Array, "node slab four item"]:
+    """Slant ranges [m] of an outline's ends at azimuths [rad]: runs' near and far points, floor behind stretches' ends.
 
-
-def trace_floor(ends: Ends, azimuth: Float[Array, "slab"], scene: Scene) -> Float[Array, "slab item"]:
-    """Slant range [m] of the floor point behind each end at `azimuth` [rad]; very far at and above the horizon."""
-    theta = jnp.broadcast_to(azimuth[:, None], ends.tau.shape)
-    line = plane_line(corners_of(scene, ends.surface), theta)
-    tau = trace_tau(ends, azimuth, scene, line)
-    return piece_range(jnp.stack(floor_line(theta, scene.view), -1), tau)
+    The floor at and above the horizon is very far.
+    """
+    theta = azimuth[..., None]
+    ends = outline.ends
+    surface = plane_line(corners_of(scene, ends.surface), theta)
+    tau = trace_tau(ends, theta, scene, surface)
+    half = ends.tau.shape[1] // 2
+    on_object = jnp.arange(2 * half) < half
+    line = [jnp.where(on_object, o, f) for o, f in zip(surface, floor_line(theta, scene.view), strict=True)]
+    foot = jax.lax.rsqrt(surface[0] ** 2 + surface[1] ** 2 + 1e-12)
+    ranges = jnp.where(ends.foot, foot, piece_range(jnp.stack(line, -1), tau))
+    return ranges.reshape(*azimuth.shape, 4, half // 2)
 
 
 def incidence_cosine(

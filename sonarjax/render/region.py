@@ -23,12 +23,24 @@ def window_shape(mesh: Mesh, sonar: Sonar, ground_range: float, slack: float = 0
     reach = mesh.radius + slack
     near, far = _slant_extent(mesh, sonar, ground_range, slack)
     rows = math.ceil((far - near) / float(sonar.range_bin)) + 4
-    half = math.asin(min(1.0, reach / max(ground_range, reach)))
-    # The slice's azimuth is measured about the tilted axis, where an angle on the floor looks wider.
-    half = half / max(math.cos(abs(float(sonar.tilt)) + float(sonar.elevation_aperture) / 2), 0.2)
-    columns = math.ceil(2 * half / float(np.diff(np.asarray(sonar.azimuth_edges)).min())) + 4
+    columns = math.ceil(_azimuth_width(mesh, sonar, ground_range, reach) / float(_spacing(sonar).min())) + 4
     rows, columns = -(-rows // ROW_STEP) * ROW_STEP, -(-columns // COLUMN_STEP) * COLUMN_STEP
     return min(rows, sonar.n_ranges), min(columns, sonar.n_beams)
+
+
+def _spacing(sonar: Sonar) -> np.ndarray:
+    return np.diff(np.asarray(sonar.azimuth_edges))
+
+
+def _azimuth_width(mesh: Mesh, sonar: Sonar, ground_range: float, reach: float) -> float:
+    """Twice the largest image azimuth [rad], off its middle, of a cylinder of radius `reach` [m] around the object."""
+    around = np.linspace(0, 2 * math.pi, 65)
+    x, y = ground_range + reach * np.cos(around), reach * np.sin(around)
+    tilt, heights = float(sonar.tilt), np.array([[0.0], [max(mesh.top, 0.0)]])
+    forward = math.cos(tilt) * x + math.sin(tilt) * (float(sonar.height) - heights)
+    if (forward <= 0).any():
+        return math.pi
+    return 2 * float(np.arctan2(np.abs(y), forward).max())
 
 
 def _slant_extent(mesh: Mesh, sonar: Sonar, ground_range: float, slack: float) -> tuple[float, float]:

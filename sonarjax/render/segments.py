@@ -46,8 +46,8 @@ class Segments(NamedTuple):
 
 
 def plane_line(
-    corners: Float[Array, "*batch 3 3"], azimuth: Float[Array, "*batch"]
-) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+    corners: Float[Array, "*batch 3 3"], azimuth: Float[Array, "*nodes"]
+) -> tuple[Float[Array, "*nodes_batch"], Float[Array, "*batch"]]:
     """(a, b) [1/m] of the planes through triangles (..., corner, xyz) [m] as lines s = a + b·tau at `azimuth` [rad]."""
     first = corners[..., 0, :]
     normal = jnp.cross(corners[..., 1, :] - first, corners[..., 2, :] - first)
@@ -61,8 +61,8 @@ def plane_line(
 
 
 def edge_point(
-    start: Float[Array, "*batch 3"], end: Float[Array, "*batch 3"], azimuth: Float[Array, "*batch"]
-) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+    start: Float[Array, "*batch 3"], end: Float[Array, "*batch 3"], azimuth: Float[Array, "*nodes"]
+) -> tuple[Float[Array, "*nodes_batch"], Float[Array, "*nodes_batch"]]:
     """Planar range and height (rho, z) [m] at which the edge from `start` to `end` [m] passes through `azimuth` [rad]."""
     c, s = jnp.cos(azimuth), jnp.sin(azimuth)
     u0, u1 = c * start[..., 1] - s * start[..., 0], c * end[..., 1] - s * end[..., 0]

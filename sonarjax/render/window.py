@@ -26,8 +26,7 @@ from sonarjax.render.profile import (
     incidence_cosine,
     lit_pieces,
     max_items,
-    trace_floor,
-    trace_range,
+    trace_ranges,
 )
 from sonarjax.render.segments import Segments, View, cut
 from sonarjax.render.slices import GAUSS, Slabs, event_azimuths, make_slabs
@@ -99,8 +98,11 @@ def render_window(mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, sub_beam
     slabs = make_slabs(azimuth_edges, event_azimuths(scene.vertices, mesh.crease), sub_beams)
     visible = find_visible(mesh, scene, slabs, sonar, elevations)
     edges = sonar.range_min + sonar.range_bin * (window.row + jnp.arange(rows + 1, dtype=jnp.float32))
-    highlight = _highlight(visible.outline, slabs, scene, sonar, edges)
-    shadow = _shadow(visible.outline, slabs, scene, sonar, edges)
+    nodes = slabs.middle + GAUSS * slabs.width * jnp.array([[-1.0], [1.0]])
+    ranges = trace_ranges(visible.outline, nodes, scene)
+    highlight = _highlight(visible.outline, ranges, slabs, sonar, edges)
+    start, stop = patch_span(nodes, scene, sonar)
+    shadow = _shadow(visible.outline, jnp.clip(ranges, start[..., None], stop[..., None]), slabs, sonar, edges)
     ends = all_ends(visible.pieces, visible.segments, visible.table)
     echo = _per_beam(slabs, object_energy(ends, slabs, scene, sonar, elevations, edges))
     floor = patch_lit(azimuth, scene, sonar, edges)
@@ -117,38 +119,26 @@ def _per_beam(slabs: Slabs, values: Float[Array, "slab range"]) -> Float[Array, 
     return (slabs.weights @ values).T
 
 
-def _nodes(slabs: Slabs) -> tuple[Array, Array]:
-    return slabs.middle - GAUSS * slabs.width, slabs.middle + GAUSS * slabs.width
-
-
 def _highlight(
-    outline: Outline, slabs: Slabs, scene: Scene, sonar: Sonar, edges: Float[Array, "edge"]
+    outline: Outline, ranges: Float[Array, "node slab four item"], slabs: Slabs, sonar: Sonar, edges: Float[Array, "edge"]
 ) -> Float[Array, "range beam"]:
     """Share of each pixel's range cell that first hits cover; a run's echo is no shorter than the pulse (at least a bin)."""
-    step, first = sonar.range_bin, edges[0]
-    pulse = jnp.maximum(jnp.asarray(sonar.pulse_length, jnp.float32) / step, 1.0)
-    near, far = [], []
-    for azimuth in _nodes(slabs):
-        low, high = ((trace_range(end, azimuth, scene) - first) / step for end in (outline.near, outline.far))
-        middle, half = (low + high) / 2, jnp.maximum(high - low, pulse) / 2
-        near.append(middle - half)
-        far.append(middle + half)
-    bins = jnp.arange(len(edges), dtype=jnp.float32)
-    share = covered(swept(*near), swept(*far), outline.near.surface >= 0, bins)
+    bins = (ranges - edges[0]) / sonar.range_bin
+    pulse = jnp.maximum(jnp.asarray(sonar.pulse_length, jnp.float32) / sonar.range_bin, 1.0)
+    middle = (bins[:, :, 0] + bins[:, :, 1]) / 2
+    half = jnp.maximum(bins[:, :, 1] - bins[:, :, 0], pulse) / 2
+    share = covered(swept(middle - half), swept(middle + half), outline.runs, _bin_edges(edges))
     return _per_beam(slabs, jnp.clip(share, 0.0, 1.0))
 
 
 def _shadow(
-    outline: Outline, slabs: Slabs, scene: Scene, sonar: Sonar, edges: Float[Array, "edge"]
+    outline: Outline, ranges: Float[Array, "node slab four item"], slabs: Slabs, sonar: Sonar, edges: Float[Array, "edge"]
 ) -> Float[Array, "range beam"]:
     """Share of each pixel's floor that is hidden behind an object."""
-    step, first = sonar.range_bin, edges[0]
-    near, far = [], []
-    for azimuth in _nodes(slabs):
-        low, high = (trace_floor(end, azimuth, scene) for end in (outline.lower, outline.upper))
-        start, stop = patch_span(azimuth, scene, sonar)
-        near.append((jnp.clip(low, start, stop) - first) / step)
-        far.append((jnp.clip(high, start, stop) - first) / step)
-    bins = jnp.arange(len(edges), dtype=jnp.float32)
-    share = covered(swept(*near), swept(*far), outline.lower.surface >= 0, bins)
+    bins = (ranges - edges[0]) / sonar.range_bin
+    share = covered(swept(bins[:, :, 2]), swept(bins[:, :, 3]), outline.stretches, _bin_edges(edges))
     return _per_beam(slabs, jnp.clip(share, 0.0, 1.0))
+
+
+def _bin_edges(edges: Float[Array, "edge"]) -> Float[Array, "edge"]:
+    return jnp.arange(len(edges), dtype=jnp.float32)

@@ -174,7 +174,7 @@ def _bucket(count: int) -> int:
     return power * 3 // 4 if 8 < count <= power * 3 // 4 else power
 
 
-def _round_up(length: float, step: float = 0.05) -> float:
+def _round_up(length: float, step: float = 0.01) -> float:
     return math.ceil(length / step - 1e-6) * step
 
 

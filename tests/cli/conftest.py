@@ -25,12 +25,6 @@ height_m = 0.9
 SHAPE = (64, 24)
 
 
-@pytest.fixture(autouse=True)
-def no_cache(monkeypatch):
-    """No test writes to the user's compilation cache."""
-    monkeypatch.setenv("SONARJAX_NO_CACHE", "1")
-
-
 @pytest.fixture(scope="session")
 def place(tmp_path_factory) -> Path:
     """A folder with `sonar.toml`, `brick.stl` (12 triangles, [m]), `brick_mm.stl` and frames `a.npz`, `b.npy`."""
@@ -68,7 +62,7 @@ def rendered(place) -> Path:
 
 @pytest.fixture
 def stand_in(monkeypatch) -> SimpleNamespace:
-    """Stand-ins for the slow modules behind `segment` and `recognize`; records the calls, `interrupt` stops at a call."""
+    """Stand-ins for the slow modules behind `segment` and `recognize`: they note calls, `interrupt` stops at one."""
     state = SimpleNamespace(calls=[], interrupt=None)
 
     def recognize(image, mesh, sonar, **options):

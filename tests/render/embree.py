@@ -98,8 +98,8 @@ def covered(near, far, sonar):
     return np.clip(np.diff(ramps) / float(sonar.range_bin), 0.0, 1.0)
 
 
-def energy(mesh, x, y, yaw, sonar, elevations=4096, sub_azimuths=16):
-    """Energy (range, beam) of object and floor: every ray's Δφ/r² dropped into the bin it hits."""
+def energy(mesh, x, y, yaw, sonar, elevations=2048, sub_azimuths=64):
+    """The beams that see the object, and their energy (range, beam): every ray's Δφ/r² dropped into the bin it hits."""
     surface = placed(mesh, x, y, yaw, sonar)
     bounds = np.asarray(sonar.azimuth_edges, np.float64)
     reach = float(sonar.elevation_aperture) / 2
@@ -107,9 +107,11 @@ def energy(mesh, x, y, yaw, sonar, elevations=4096, sub_azimuths=16):
     elevation = -reach + cell * (np.arange(elevations) + 0.5)
     edges = float(sonar.range_min) + float(sonar.range_bin) * np.arange(sonar.n_ranges + 1)
     out = np.zeros(sonar.shape)
-    for beam in range(sonar.n_beams):
+    bearing = np.arctan2(surface.vertices[:, 1], surface.vertices[:, 0])
+    beams = np.flatnonzero((bounds[1:] > bearing.min()) & (bounds[:-1] < bearing.max()))
+    for beam in beams:
         azimuth = bounds[beam] + (bounds[beam + 1] - bounds[beam]) * (np.arange(sub_azimuths) + 0.5) / sub_azimuths
         rays = directions(azimuth, elevation)
         distance = np.minimum(first_hits(surface, rays), floor_range(rays, sonar)).ravel()
         out[:, beam] = np.histogram(distance, edges, weights=cell / distance**2 / sub_azimuths)[0]
-    return out
+    return beams, out[:, beams]

@@ -1,0 +1,52 @@
+"""`sonarjax recognize` with the real recognizer, on the frame that `sonarjax render` wrote."""
+
+import json
+
+import numpy as np
+import pytest
+
+recognizer = pytest.importorskip("sonarjax.recognize", reason="the recognizer is not there yet")
+
+FIELDS = {
+    "frame", "identified", "score", "score_bank", "score_refined", "threshold", "yaw_bin_deg", "yaw_deg", "yaw_std_deg",
+    "x_m", "y_m", "scores_by_yaw", "hypotheses", "segmenter", "seconds", "schema",
+}  # fmt: skip
+
+
+@pytest.fixture
+def recognize(command, place, tmp_path):
+    """`recognize(frame, *options)` gives exit code and records; no segmenter, the frame is semantic already."""
+
+    def run(*arguments):
+        out = tmp_path / "r.jsonl"
+        target = ["--target", place / "brick.stl", "--sonar", place / "sonar.toml", "--out", out, "--segmenter", "none"]
+        code, _, _ = command("recognize", *arguments, *target)
+        return code, [json.loads(line) for line in out.read_text().splitlines()]
+
+    return run
+
+
+def test_a_rendered_frame_is_recognized_with_every_field(recognize, rendered):
+    code, (record,) = recognize(rendered)
+    assert code == 0
+    assert set(record) == FIELDS
+    assert (record["frame"], record["segmenter"], record["schema"]) == (str(rendered), "none", 1)
+    assert all(set(found) == {"yaw_deg", "score", "yaw_std_deg"} for found in record["hypotheses"])
+    assert record["identified"] == (record["score"] >= record["threshold"])
+    assert 0 <= record["yaw_deg"] < 360
+    # The brick looks the same after half a turn; 24 coarse beams do not tell more than this.
+    error = (record["yaw_deg"] - 30 + 90) % 180 - 90
+    assert abs(error) < 10
+    assert record["x_m"] == pytest.approx(2.2, abs=0.05)
+    assert record["y_m"] == pytest.approx(0.15, abs=0.05)
+
+
+def test_without_refinement_yaw_is_the_bin(recognize, rendered, tmp_path):
+    np.save(tmp_path / "wide.npy", np.full((64, 25), 0.5, np.float32))
+    code, (record, wide) = recognize(rendered, tmp_path / "wide.npy", "--no-refine", "--threshold", "0.99")
+    assert code == 1
+    assert record["yaw_deg"] == record["yaw_bin_deg"]
+    assert record["yaw_std_deg"] is None
+    assert record["threshold"] == 0.99
+    assert wide["frame"].endswith("wide.npy")
+    assert "error" in wide
