@@ -15,22 +15,26 @@ import jax
 
 MIN_COMPILE_SECONDS = 0.2  # [s] below this, reading a file back gains nothing
 
+_SETTING = "jax_compilation_cache_dir"
 _OFF = ("", "0", "false", "no")
 
 
 def enable_compilation_cache() -> Path | None:
-    """Let JAX keep compiled code on disk; returns the folder, or None where the cache is off or someone else's choice.
+    """Let JAX keep compiled code on disk; returns the folder in use, or None where there is no cache.
 
     `SONARJAX_NO_CACHE=1` turns it off, `SONARJAX_CACHE_DIR` moves it; by default it lies in the user's cache folder
     (`XDG_CACHE_HOME`, else `~/.cache`). A cache that the user set up for JAX is left as it is, and so are JAX's own
     thresholds where they are set. Never raises: where nothing can be written, there is no cache.
     """
-    if os.environ.get("SONARJAX_NO_CACHE", "").lower() not in _OFF or jax.config.jax_compilation_cache_dir:
+    if os.environ.get("SONARJAX_NO_CACHE", "").lower() not in _OFF:
         return None
+    chosen = getattr(jax.config, _SETTING)
+    if chosen:
+        return Path(chosen)
     folder = _writable_folder()
     if folder is None:
         return None
-    jax.config.update("jax_compilation_cache_dir", str(folder))
+    jax.config.update(_SETTING, str(folder))
     if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", MIN_COMPILE_SECONDS)
     return folder

@@ -237,6 +237,7 @@ def _segment(args: argparse.Namespace) -> int:
 def _recognize(args: argparse.Namespace) -> int:
     _start_jax()
     from sonarjax.io import JsonLines, SonarjaxError
+    from sonarjax.recognize import Recognizer
     from sonarjax.scene import Mesh
     from sonarjax.segment import SEGMENTERS
     from sonarjax.sonar import Sonar
@@ -244,6 +245,7 @@ def _recognize(args: argparse.Namespace) -> int:
     if args.segmenter not in SEGMENTERS:
         raise SonarjaxError(f"--segmenter: expected {' or '.join(SEGMENTERS)}, got {args.segmenter!r}")
     sonar, mesh = Sonar.from_toml(args.sonar), Mesh.load(args.target, args.unit_m)
+    Recognizer(mesh, sonar)  # a sonar that sees no floor is refused before any frame is read
     code = 0
     with JsonLines(args.out) as lines:
         for name, frame in _each_frame(args.frames):

@@ -52,7 +52,7 @@ def find(name: str) -> Any:
 
 def breaches(function: Callable[..., Any], positional: list[str], named: set[str], needed: set[str]) -> list[str]:
     """Where a function's parameters depart from the contract: one sentence each."""
-    parameters = inspect.signature(inspect.unwrap(function)).parameters
+    parameters = inspect.signature(function).parameters
     first = [p.name for p in parameters.values() if p.kind in POSITIONAL][: len(positional)]
     found = [] if first == positional else [f"starts with {first}, not {positional}"]
     found += [f"{name} is missing" for name in sorted(named - set(parameters))]

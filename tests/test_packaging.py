@@ -109,7 +109,7 @@ def test_cache_can_be_off(tmp_path: Path) -> None:
 
 def test_cache_of_the_user_is_left_alone(tmp_path: Path) -> None:
     own = str(tmp_path / "own")
-    assert cache_of(tmp_path, JAX_COMPILATION_CACHE_DIR=own).stdout.strip() == f"None|{own}"
+    assert cache_of(tmp_path, JAX_COMPILATION_CACHE_DIR=own).stdout.strip() == f"{own}|{own}"
 
 
 def test_no_cache_where_nothing_can_be_written(tmp_path: Path) -> None:

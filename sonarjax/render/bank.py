@@ -61,16 +61,18 @@ def template_bank(
     sub_beams: int = 1,
     elevations: int = 64,
     margin: tuple[int, int] = (MARGIN_BINS, MARGIN_BEAMS),
+    shape: tuple[int, int] | None = None,
 ) -> TemplateBank:
     """Render the object at (x, y) [m] for each of `yaws` (yaw,) [rad] and crop all to one box with a `margin` (bins, beams).
 
-    Views are rendered one after another in a window around the object, so memory grows only with the templates.
+    Views are rendered one after another in a window around the object, so memory grows only with the templates;
+    `shape` (range, beam) [pixels] sets the window's size, so that banks at several places share compiled code.
     Raises SonarjaxError when `yaws` is empty or not finite, or the object is outside the sonar's view.
     """
     yaws = np.atleast_1d(np.asarray(yaws, np.float32))
     if yaws.ndim != 1 or yaws.size == 0 or not np.isfinite(yaws).all():
         raise SonarjaxError(f"yaws: expected a non-empty list of finite angles [rad], got shape {yaws.shape}")
-    shape = window_shape(mesh, sonar, float(np.hypot(x, y)))
+    shape = shape or window_shape(mesh, sonar, float(np.hypot(x, y)))
     rows, columns, images = _render_views(mesh, sonar, jnp.asarray(yaws), x, y, shape, sub_beams, elevations)
     first, last = _touched_box(np.asarray(images))
     if first is None:
@@ -79,7 +81,7 @@ def template_bank(
     top, left = max(first[0] - margin[0], 0), max(first[1] - margin[1], 0)
     bottom, right = min(last[0] + margin[0], shape[0] - 1), min(last[1] + margin[1], shape[1] - 1)
     crop = images[:, top : bottom + 1, left : right + 1]
-    offset = (row + top, column + left)
+    offset = (int(row + top), int(column + left))
     return TemplateBank(crop, jnp.asarray(yaws), offset, float(x), float(y), float(sonar.tilt))
 
 

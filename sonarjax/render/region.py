@@ -12,7 +12,7 @@ from sonarjax.render.window import Window
 from sonarjax.scene import Mesh
 from sonarjax.sonar import Sonar
 
-ROW_STEP, COLUMN_STEP = 32, 4  # window sizes are rounded up to these, so that neighbours share compiled code
+ROW_STEP, COLUMN_STEP = 64, 8  # window sizes are rounded up to these, so that neighbours share compiled code
 
 
 def window_shape(mesh: Mesh, sonar: Sonar, ground_range: float, slack: float = 0.0) -> tuple[int, int]:

@@ -47,7 +47,7 @@ class Segments(NamedTuple):
 
 def plane_line(
     corners: Float[Array, "*batch 3 3"], azimuth: Float[Array, "*nodes"]
-) -> tuple[Float[Array, "*nodes_batch"], Float[Array, "*batch"]]:
+) -> tuple[Float[Array, "*nodes_batch"], Float[Array, "*nodes_batch"]]:
     """(a, b) [1/m] of the planes through triangles (..., corner, xyz) [m] as lines s = a + b·tau at `azimuth` [rad]."""
     first = corners[..., 0, :]
     normal = jnp.cross(corners[..., 1, :] - first, corners[..., 2, :] - first)
@@ -57,7 +57,7 @@ def plane_line(
     safe = jnp.where(jnp.abs(offset) > floor, offset, jnp.where(offset < 0, -floor, floor))
     gradient = normal / safe[..., None]
     a = gradient[..., 0] * jnp.cos(azimuth) + gradient[..., 1] * jnp.sin(azimuth)
-    return a, gradient[..., 2]
+    return a, jnp.broadcast_to(gradient[..., 2], a.shape)
 
 
 def edge_point(

@@ -80,8 +80,11 @@ def stand_in(monkeypatch) -> SimpleNamespace:
         state.calls.append(name)
         return (image > 0.5).astype(np.uint8)
 
+    def accept(mesh, sonar):
+        return None
+
     for name, members in (
-        ("recognize", {"recognize": recognize, "to_json": to_json}),
+        ("recognize", {"recognize": recognize, "to_json": to_json, "Recognizer": accept}),
         ("segment", {"segment": segment, "SEGMENTERS": ("none", "otsu")}),
     ):
         module = ModuleType(f"sonarjax.{name}")

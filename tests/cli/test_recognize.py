@@ -50,3 +50,11 @@ def test_without_refinement_yaw_is_the_bin(recognize, rendered, tmp_path):
     assert record["threshold"] == 0.99
     assert wide["frame"].endswith("wide.npy")
     assert "error" in wide
+
+
+def test_a_sonar_that_sees_no_floor_is_refused_at_once(complaint, place, rendered, tmp_path):
+    sonar, out = tmp_path / "up.toml", tmp_path / "r.jsonl"
+    sonar.write_text((place / "sonar.toml").read_text().replace("tilt_deg = 20.0", "tilt_deg = -60.0"))
+    files = ["--target", place / "brick.stl", "--sonar", sonar, "--out", out]
+    assert "floor" in complaint(2, "recognize", rendered, *files)
+    assert not out.exists()

@@ -1,0 +1,33 @@
+"""sonarjax: a differentiable imaging-sonar simulator, template matching and continuous yaw refinement in JAX.
+
+Conventions, everywhere in the package:
+
+- Ground frame: origin on the floor under the sonar, x forward, y to port, z up (right-handed). The sonar is at
+  (0, 0, height), tilted down by `tilt`. Sonar frame: x along the beam axis, y to port, z up before the tilt.
+- A ray at azimuth θ and elevation φ is (cos φ cos θ, cos φ sin θ, sin φ) in the sonar frame; azimuth grows to port.
+- Images: axis 0 = range bin, near to far; axis 1 = beam in ascending azimuth (column 0 is the starboard-most beam).
+  Batches lead. Values float32 in [0, 1]. Labels uint8: 0 background, 1 highlight, 2 shadow. As one grey image:
+  shadow 0, background 0.5, highlight 1. `intensity` is raw energy per bin, not scaled.
+- Object pose: (x, y) of the mesh origin on the floor, yaw about the vertical, counter-clockwise from above; z, roll
+  and pitch default to 0. A mesh keeps its own z: it is never dropped onto the floor.
+- Metres and radians inside; degrees only at the command line and in files whose key says `_deg`.
+- Random functions take a keyword-only `key`.
+"""
+
+from sonarjax._cache import enable_compilation_cache
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.match import match_bank, match_positions
+from sonarjax.recognize import Recognition, Recognizer, recognize
+from sonarjax.refine import YawEstimate, refine_yaw
+from sonarjax.render import SonarFrame, TemplateBank, render, template_bank
+from sonarjax.scene import Mesh, Pose, objects
+from sonarjax.sonar import FloorPatch, Sonar
+
+enable_compilation_cache()
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "FloorPatch", "Mesh", "Pose", "Recognition", "Recognizer", "Sonar", "SonarFrame", "SonarjaxError", "TemplateBank",
+    "YawEstimate", "match_bank", "match_positions", "objects", "recognize", "refine_yaw", "render", "template_bank",
+]  # fmt: skip

@@ -1,0 +1,278 @@
+"""Fig. 1 in one function: frame → semantic map → yaw bin → refined yaw."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.match import PreparedBank, match_positions, peaks, prepare_bank
+from sonarjax.refine import YawEstimate, refine_yaw
+from sonarjax.render import TemplateBank, bank_place, floor_point, template_bank, window_shape
+from sonarjax.scene import Mesh, Pose
+from sonarjax.segment import check_segmenter, segment, to_grey
+from sonarjax.sonar import Sonar
+
+YAW_BINS = 36
+COARSE_EVERY = 3  # the search over distance uses every third bank and every second yaw
+RANGE_STEP_M = 0.1  # templates 0.3 m off in distance lose 10 points of accuracy
+HYPOTHESES = 3
+SAME_YAW = math.radians(8.0)  # refined hypotheses closer than this are one
+THRESHOLDS = {"none": 0.5, "otsu": 0.5}
+"""Least score of an identified target, for each segmenter: fitted on validation frames by experiments/fit_threshold.py."""
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """One possible yaw of the target."""
+
+    yaw: float
+    """Absolute yaw [rad]."""
+    score: float
+    """NCC (eq. 4) of its template."""
+    yaw_std: float | None
+    """Standard deviation of the refined yaw [rad], given this hypothesis; None without refinement."""
+
+
+@dataclass(frozen=True)
+class Recognition:
+    """What `recognize` found in one frame."""
+
+    identified: bool
+    """True when the score reaches the threshold (eq. 5)."""
+    score: float
+    """What the threshold judges: eq. 5's maximum over the bank."""
+    score_bank: float
+    """Largest NCC over the bank's yaw bins."""
+    score_refined: float | None
+    """NCC of the best refined template; None without refinement."""
+    threshold: float
+    """Least score of an identified target."""
+    yaw_bin: float
+    """Yaw of the best template [rad], turned to the bearing at which it was found."""
+    yaw: float
+    """Refined absolute yaw [rad]; the bin's without refinement."""
+    yaw_std: float | None
+    """Standard deviation of the refined yaw [rad]."""
+    x: float
+    """Forward position of the target [m]."""
+    y: float
+    """Position of the target to port [m]."""
+    scores_by_yaw: np.ndarray
+    """NCC (yaw,) of each bin."""
+    hypotheses: tuple[Hypothesis, ...]
+    """Possible yaws, best first."""
+    segmenter: str
+    """What made the semantic map."""
+    semantic: np.ndarray = field(repr=False)
+    """The image (range, beam) that was matched."""
+
+
+class Recognizer:
+    """A target and a sonar with the banks that were rendered for them so far: keep one to recognize many frames."""
+
+    def __init__(self, mesh: Mesh, sonar: Sonar) -> None:
+        """Banks are rendered when a frame first needs them. Raises SonarjaxError when no distance is in view."""
+        self.mesh, self.sonar = mesh, sonar
+        self._banks: dict[tuple[int, bool, bool], tuple[TemplateBank, PreparedBank] | None] = {}
+        self._distances = _ground_ranges(sonar)
+        near = float(self._distances[0])
+        self._shape = (sonar.n_ranges, min(-(-window_shape(mesh, sonar, near)[1] // 16) * 16, sonar.n_beams))
+
+    def bank(self, index: int, coarse: bool, masked: bool) -> tuple[TemplateBank, PreparedBank] | None:
+        """The bank at distance `index` and its spectra; None where the object is not in view there."""
+        key = (index, coarse, masked)
+        if key not in self._banks:
+            yaws = np.arange(0, YAW_BINS, 2 if coarse else 1) * (2 * math.pi / YAW_BINS)
+            distance = float(self._distances[index])
+            try:
+                bank = template_bank(self.mesh, self.sonar, yaws, x=distance, shape=self._shape)
+                self._banks[key] = (bank, prepare_bank(bank, self.sonar.shape, masked=masked))
+            except SonarjaxError:
+                self._banks[key] = None
+        return self._banks[key]
+
+    def find(self, image: Any, mask: Any) -> tuple[TemplateBank, np.ndarray, float, float]:
+        """The bank nearest to where the target is, its scores (yaw,), and that place (x, y) [m]."""
+        best, index = -np.inf, None
+        for coarse in range(0, len(self._distances), COARSE_EVERY):
+            found = self._try(coarse, True, image, mask)
+            if found is not None and found[1].max() > best:
+                best, index = found[1].max(), self._nearest(found)
+        if index is None:
+            raise SonarjaxError("target: at no distance inside the sonar's view is any part of it visible")
+        found = self._try(index, False, image, mask)
+        closer = self._nearest(found) if found is not None else index
+        if found is None or closer != index:
+            again = self._try(closer, False, image, mask)
+            if found is None or (again is not None and again[1].max() > found[1].max()):
+                found = again
+        if found is None:
+            raise SonarjaxError("target: no part of it is visible where it was found")
+        return found
+
+    def _nearest(self, found: tuple) -> int:
+        return int(np.argmin(np.abs(self._distances - math.hypot(found[2], found[3]))))
+
+    def _try(self, index: int, coarse: bool, image: Any, mask: Any) -> tuple | None:
+        entry = self.bank(index, coarse, mask is not None)
+        if entry is None:
+            return None
+        bank, prepared = entry
+        match = match_positions(image, prepared, mask)
+        scores = np.asarray(match.scores)
+        best = int(scores.argmax())
+        return bank, scores, *_place(bank, self.sonar, int(match.row[best]), int(match.col[best]))
+
+
+def _ground_ranges(sonar: Sonar) -> np.ndarray:
+    """Distances [m] at which a floor object can be in view, RANGE_STEP_M apart."""
+    height, half = float(sonar.height), float(sonar.elevation_aperture) / 2
+    steep, flat = float(sonar.tilt) + half, max(float(sonar.tilt) - half, 1e-3)
+    nearest = max(height / math.tan(min(steep, math.pi / 2 - 1e-3)), _ground(float(sonar.range_min), height))
+    farthest = min(height / math.tan(flat), _ground(float(sonar.range_max), height))
+    if farthest <= nearest:
+        raise SonarjaxError("sonar: no part of the floor is inside its aperture and range window")
+    return np.arange(nearest, farthest + RANGE_STEP_M, RANGE_STEP_M)
+
+
+def _ground(slant: float, height: float) -> float:
+    return math.sqrt(max(slant**2 - height**2, 0.0))
+
+
+def _place(bank: TemplateBank, sonar: Sonar, row: int, column: int) -> tuple[float, float]:
+    """Ground (x, y) [m] of an object whose template matched with its corner at (row, column)."""
+    slant, azimuth = bank_place(bank, sonar)
+    centers = np.asarray(sonar.azimuth)
+    beam = np.interp(azimuth, centers, np.arange(len(centers))) + column - bank.offset[1]
+    found = np.interp(beam, np.arange(len(centers)), centers)
+    slant = slant + (row - bank.offset[0]) * float(sonar.range_bin)
+    x, y = floor_point(slant, found, sonar)
+    return float(x), float(y)
+
+
+_RECOGNIZERS: list[Recognizer] = []  # the last few, so that calling `recognize` frame by frame renders no bank twice
+
+
+def _recognizer(mesh: Mesh, sonar: Sonar) -> Recognizer:
+    for known in _RECOGNIZERS:
+        if known.mesh is mesh and known.sonar is sonar:
+            return known
+    _RECOGNIZERS.append(Recognizer(mesh, sonar))
+    del _RECOGNIZERS[:-8]
+    return _RECOGNIZERS[-1]
+
+
+def recognize(
+    image: Any,
+    mesh: Mesh,
+    sonar: Sonar,
+    *,
+    segmenter: str = "otsu",
+    refine: bool = True,
+    threshold: float | None = None,
+    mask: Any = None,
+) -> Recognition:
+    """Find the target in a frame (range, beam) and its yaw [rad] (Fig. 1): segment, match (eq. 4–5), refine.
+
+    Neither distance nor bearing is given: banks at several distances find them. `mask` (range, beam) is true where a
+    pixel was measured. `threshold` replaces the segmenter's own, which comes from validation frames.
+
+    Raises SonarjaxError for an unknown segmenter, a shape that does not fit the sonar, or values that are not finite.
+    """
+    image, mask = _checked(image, mask, sonar)
+    check_segmenter(segmenter)
+    semantic = image if segmenter == "none" else to_grey(segment(image, segmenter, mask))
+    bank, scores, x, y = _recognizer(mesh, sonar).find(semantic, mask)
+    yaws = np.asarray(bank.yaws) + math.atan2(y, x) - bank.bearing
+    found = peaks(jnp.asarray(scores), jnp.asarray(yaws), max_peaks=HYPOTHESES)
+    valid = np.asarray(found.valid)
+    starts = np.where(valid, np.asarray(found.yaw), _wrap(yaws[scores.argmax()]))
+    hypotheses, estimate = _hypotheses(starts, np.where(valid, np.asarray(found.score), scores.max())), None
+    if refine:
+        pose = Pose(np.full(HYPOTHESES, x), np.full(HYPOTHESES, y), starts)
+        estimate = jax.tree.map(np.asarray, refine_yaw(semantic, mesh, sonar, pose, mask=mask))
+        hypotheses = _hypotheses(estimate.yaw, estimate.score, estimate.yaw_std)
+        x, y = _place_of_best(estimate)
+    limit = THRESHOLDS[segmenter] if threshold is None else float(threshold)
+    score = float(scores.max())
+    return Recognition(
+        identified=score >= limit,
+        score=score,
+        score_bank=score,
+        score_refined=None if estimate is None else hypotheses[0].score,
+        threshold=limit,
+        yaw_bin=_wrap(yaws[scores.argmax()]),
+        yaw=hypotheses[0].yaw if refine else _wrap(yaws[scores.argmax()]),
+        yaw_std=hypotheses[0].yaw_std,
+        x=x,
+        y=y,
+        scores_by_yaw=scores,
+        hypotheses=hypotheses,
+        segmenter=segmenter,
+        semantic=np.asarray(semantic),
+    )
+
+
+def _checked(image: Any, mask: Any, sonar: Sonar) -> tuple[np.ndarray, np.ndarray | None]:
+    image = np.asarray(image, np.float32)
+    if image.shape != sonar.shape:
+        raise SonarjaxError(f"image: expected shape {sonar.shape} (range, beam) of the sonar, got {image.shape}")
+    mask = None if mask is None else np.asarray(mask, bool)
+    if mask is not None and mask.shape != image.shape:
+        raise SonarjaxError(f"mask: expected the image's shape {image.shape}, got {mask.shape}")
+    if not np.isfinite(image if mask is None else image[mask]).all():
+        raise SonarjaxError("image: holds NaN or infinite values")
+    return (image if mask is None else np.where(mask, image, 0.5).astype(np.float32)), mask
+
+
+def _wrap(angle: Any) -> float:
+    return float(np.mod(angle, 2 * math.pi))
+
+
+def _place_of_best(estimate: YawEstimate) -> tuple[float, float]:
+    best = int(np.nanargmax(np.asarray(estimate.score)))
+    return float(estimate.x[best]), float(estimate.y[best])
+
+
+def _hypotheses(yaws: Any, scores: Any, stds: Any = None) -> tuple[Hypothesis, ...]:
+    """Different yaws, best first; those closer than SAME_YAW are one."""
+    kept: list[Hypothesis] = []
+    for k in np.argsort(-np.asarray(scores)):
+        gaps = [abs((yaws[k] - other.yaw + math.pi) % (2 * math.pi) - math.pi) for other in kept]
+        if all(gap > SAME_YAW for gap in gaps):
+            kept.append(Hypothesis(_wrap(yaws[k]), float(scores[k]), None if stds is None else float(stds[k])))
+    return tuple(kept)
+
+
+def to_json(result: Recognition, frame: str, seconds: float) -> dict[str, Any]:
+    """One line of the results file: angles in degrees in [0, 360), lengths in metres, schema 1."""
+
+    def degrees(angle: float | None) -> float | None:
+        return None if angle is None else math.degrees(angle)
+
+    return {
+        "frame": frame,
+        "identified": result.identified,
+        "score": result.score,
+        "score_bank": result.score_bank,
+        "score_refined": result.score_refined,
+        "threshold": result.threshold,
+        "yaw_bin_deg": degrees(result.yaw_bin),
+        "yaw_deg": degrees(result.yaw),
+        "yaw_std_deg": degrees(result.yaw_std),
+        "x_m": result.x,
+        "y_m": result.y,
+        "scores_by_yaw": [float(score) for score in result.scores_by_yaw],
+        "hypotheses": [
+            {"yaw_deg": degrees(h.yaw), "score": h.score, "yaw_std_deg": degrees(h.yaw_std)} for h in result.hypotheses
+        ],
+        "segmenter": result.segmenter,
+        "seconds": seconds,
+        "schema": 1,
+    }
