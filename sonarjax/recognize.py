@@ -24,7 +24,7 @@ RANGE_STEP_M = 0.1  # templates 0.3 m off in distance lose 10 points of accuracy
 HYPOTHESES = 3
 SAME_YAW = math.radians(8.0)  # refined hypotheses closer than this are one
 THRESHOLDS = {"none": 0.5, "otsu": 0.5}
-"""Least score of an identified target, for each segmenter: fitted on validation frames by experiments/fit_threshold.py."""
+"""Least score of an identified target, for each segmenter; validation frames of experiments/fit_threshold.py."""
 
 
 @dataclass(frozen=True)

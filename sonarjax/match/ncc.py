@@ -92,7 +92,10 @@ def match_positions(
     min_valid: float = MIN_VALID,
     template_mask: Bool[AnyArray, "yaw h w"] | None = None,
 ) -> MatchPositions:
-    """Scores as `match_bank`, and the top-left corner (range bin, beam) of the window that reached each of them."""
+    """Scores (yaw,) as `match_bank` of `image` (range, beam), and the corner of the window that reached each.
+
+    The corner is the top-left one, row (yaw,) and column (yaw,). `template_mask` is (yaw, h, w). Errors as there.
+    """
     return _match(image, bank, mask, template_mask, min_valid, _best_position)
 
 
@@ -104,7 +107,10 @@ def correlation_maps(
     min_valid: float = MIN_VALID,
     template_mask: Bool[AnyArray, "yaw h w"] | None = None,
 ) -> Float[Array, "yaw row col"]:
-    """Eq. 4 at every window position, (yaw, range - h + 1, beam - w + 1); arguments and errors as in `match_bank`."""
+    """Eq. 4 at every window position (yaw, row, col) of `image` (range, beam), range − h + 1 by beam − w + 1.
+
+    `template_mask` is (yaw, h, w); arguments and errors as in `match_bank`.
+    """
     return _match(image, bank, mask, template_mask, min_valid, _whole_map)
 
 

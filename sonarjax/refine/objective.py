@@ -43,7 +43,8 @@ def moved(start: Pose, step: Float[Array, "3"], bounds: Float[Array, "3"]) -> Po
 
 def template(problem: Problem, pose: Pose, sub_beams: int) -> Float[Array, "range beam"]:
     """The semantic image of the problem's window at `pose`."""
-    window = Window(problem.row, problem.column, problem.image.shape)
+    rows, columns = problem.image.shape
+    window = Window(problem.row, problem.column, (rows, columns))
     return semantic_window(problem.mesh, pose, problem.sonar, window, sub_beams, 64)
 
 

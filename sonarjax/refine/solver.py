@@ -20,7 +20,7 @@ def coarse_to_fine(
 ) -> tuple[Float[Array, "parameter"], Float[Array, ""]]:
     """Minimise Σ residuals(p, *args, blur)² for each blur in turn, each from where the last one ended.
 
-    Returns the parameters (parameter,) and the size of the Gauss–Newton step still to go at the finest level, in their units.
+    Returns the parameters (parameter,) and the size of the Gauss–Newton step still to go at the finest level.
     """
     solver = LevenbergMarquardt(
         residuals,

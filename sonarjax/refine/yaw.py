@@ -1,4 +1,4 @@
-"""`refine_yaw`: continuous yaw and position of the target, by differentiating the rendered template (beyond the paper)."""
+"""`refine_yaw`: continuous yaw and position, by differentiating the rendered template (beyond the paper)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from sonarjax.io.errors import SonarjaxError
 from sonarjax.refine.objective import Problem, crop_score, moved, normalised, residuals, template
 from sonarjax.refine.solver import coarse_to_fine
 from sonarjax.render import place_window, window_shape
-from sonarjax.render.bank import MARGIN_BEAMS, MARGIN_BINS
+from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS
 from sonarjax.scene import Mesh, Pose
 from sonarjax.sonar import Sonar
 
@@ -26,7 +26,7 @@ BLURS_PX = (8.0, 3.0, 1.0)
 """Standard deviations of the blur in range bins, coarse to fine: the coarse ones widen the basin."""
 ITERATIONS = 6
 SUB_BEAMS = 1
-SLACK_M = 0.10
+SLACK_M = 0.06
 CONVERGED_STEP = 2e-3
 
 
@@ -58,12 +58,12 @@ class YawEstimate:
 
 
 def refine_yaw(
-    image: Float[Array, "*batch range beam"],
+    image: Any,
     mesh: Mesh,
     sonar: Sonar,
     start: Pose,
     *,
-    mask: Bool[Array, "*batch range beam"] | None = None,
+    mask: Any = None,
     bounds: tuple[float, float, float] = BOUNDS,
     blurs: tuple[float, ...] = BLURS_PX,
     iterations: int = ITERATIONS,
@@ -73,8 +73,8 @@ def refine_yaw(
 
     `image` (range, beam) is the semantic image, or any grey one in which highlight is brighter than shadow; with a
     leading batch axis, `start` holds one pose a frame. A start whose fields have one more axis holds several
-    hypotheses a frame, and the estimate keeps that axis. `mask` is true where a pixel was measured. `bounds` are the
-    largest changes of yaw [rad], x and y [m].
+    hypotheses a frame, and the estimate keeps that axis. `mask`, of the image's shape, is true where a pixel was
+    measured. `bounds` are the largest changes of yaw [rad], x and y [m].
 
     Raises SonarjaxError when the shapes do not fit the sonar.
     """
@@ -101,7 +101,9 @@ def _window_size(mesh: Mesh, sonar: Sonar, start: Pose) -> tuple[int, int]:
         return sonar.shape
     ground = np.hypot(np.asarray(start.x), np.asarray(start.y))
     shapes = [window_shape(mesh, sonar, float(g), SLACK_M) for g in (ground.min(), ground.max())]
-    return max(s[0] for s in shapes), max(s[1] for s in shapes)
+    rows, columns = max(s[0] for s in shapes), max(s[1] for s in shapes)
+    # Coarse steps: compiling the solver for another window costs far more than a few empty pixels.
+    return min(-(-rows // 128) * 128, sonar.n_ranges), min(-(-columns // 16) * 16, sonar.n_beams)
 
 
 @partial(jax.jit, static_argnames=("shape", "iterations", "sub_beams"))
@@ -132,7 +134,7 @@ def _refine_one(
     window = place_window(shape, mesh, sonar, start.x, start.y, SLACK_M)
     corner = (window.row, window.column)
     part, measured = (jax.lax.dynamic_slice(v, corner, shape) for v in (image, weight))
-    problem = Problem(part, measured, mesh, sonar, start, *corner)
+    problem = Problem(part, measured, mesh, sonar, start, jnp.asarray(corner[0]), jnp.asarray(corner[1]))
 
     def difference(step: Array, problem: Problem, bounds: Array, blur: Array) -> Array:
         return residuals(step, problem, bounds, blur, sub_beams)
@@ -164,5 +166,3 @@ def _yaw_std(problem: Problem, pose: Pose, drawn: Array, sub_beams: int) -> Arra
     ridge = 1e-6 * jnp.trace(information) + 1e-12
     covariance = jnp.linalg.inv(information + ridge * jnp.eye(3)) * left
     return jnp.sqrt(jnp.maximum(covariance[0, 0], 0.0))
-
-

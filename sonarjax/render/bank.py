@@ -13,12 +13,11 @@ from jaxtyping import Array, Float
 
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.render.frame import semantic_image
-from sonarjax.render.region import image_azimuth, place_window, window_shape
+from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS, image_azimuth, place_window, window_shape
 from sonarjax.render.window import Window, render_window
 from sonarjax.scene import Mesh, Pose
 from sonarjax.sonar import Sonar
 
-MARGIN_BEAMS, MARGIN_BINS = 3, 12  # around the union of all yaws; wider margins lower the correlation
 TOUCHED = 0.01  # a pixel belongs to the object when its semantic value is this far from the background's
 
 
@@ -63,7 +62,7 @@ def template_bank(
     margin: tuple[int, int] = (MARGIN_BINS, MARGIN_BEAMS),
     shape: tuple[int, int] | None = None,
 ) -> TemplateBank:
-    """Render the object at (x, y) [m] for each of `yaws` (yaw,) [rad] and crop all to one box with a `margin` (bins, beams).
+    """Render the object at (x, y) [m] at each of `yaws` (yaw,) [rad], cropped to one box with a `margin` (bins, beams).
 
     Views are rendered one after another in a window around the object, so memory grows only with the templates;
     `shape` (range, beam) [pixels] sets the window's size, so that banks at several places share compiled code.
@@ -74,10 +73,10 @@ def template_bank(
         raise SonarjaxError(f"yaws: expected a non-empty list of finite angles [rad], got shape {yaws.shape}")
     shape = shape or window_shape(mesh, sonar, float(np.hypot(x, y)))
     rows, columns, images = _render_views(mesh, sonar, jnp.asarray(yaws), x, y, shape, sub_beams, elevations)
-    first, last = _touched_box(np.asarray(images))
-    if first is None:
+    box = _touched_box(np.asarray(images))
+    if box is None:
         raise SonarjaxError(f"template bank: an object at x {x:.2f} m, y {y:.2f} m is outside the sonar's view")
-    row, column = int(rows), int(columns)
+    (first, last), row, column = box, int(rows), int(columns)
     top, left = max(first[0] - margin[0], 0), max(first[1] - margin[1], 0)
     bottom, right = min(last[0] + margin[0], shape[0] - 1), min(last[1] + margin[1], shape[1] - 1)
     crop = images[:, top : bottom + 1, left : right + 1]
@@ -94,23 +93,23 @@ def _render_views(
     def one(yaw: Array) -> Array:
         return semantic_window(mesh, Pose(x, y, yaw), sonar, window, sub_beams, elevations)
 
-    return window.row, window.column, jax.lax.map(one, yaws)
+    return jnp.asarray(window.row), jnp.asarray(window.column), jax.lax.map(one, yaws)
 
 
 def semantic_window(
     mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, sub_beams: int, elevations: int
 ) -> Float[Array, "range beam"]:
-    """The semantic image of one window of the frame; differentiable like `render`."""
+    """The semantic image (range, beam) of one window of the frame; differentiable like `render`."""
     layers = render_window(mesh, pose, sonar, window, sub_beams, elevations)
     return semantic_image(layers.highlight, layers.shadow)
 
 
-def _touched_box(images: np.ndarray) -> tuple[Any, Any]:
-    touched = (np.abs(images - 0.5) > TOUCHED).any(axis=0)
+def _touched_box(images: np.ndarray) -> tuple[tuple[int, int], tuple[int, int]] | None:
+    touched = np.any(np.abs(images - 0.5) > TOUCHED, axis=0)
     if not touched.any():
-        return None, None
+        return None
     rows, columns = np.flatnonzero(touched.any(axis=1)), np.flatnonzero(touched.any(axis=0))
-    return (rows[0], columns[0]), (rows[-1], columns[-1])
+    return (int(rows[0]), int(columns[0])), (int(rows[-1]), int(columns[-1]))
 
 
 def bank_place(bank: TemplateBank, sonar: Sonar) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""The echo's energy per range bin (eq. 2): first hits of objects and of the floor, spread over the ranges they cover."""
+"""The echo's energy per range bin (eq. 2): first hits of objects and of the floor, spread over their ranges."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ from sonarjax.render.segments import plane_line
 from sonarjax.render.slices import GAUSS, Slabs
 from sonarjax.sonar import Sonar
 
+USUAL_PIECES = 16  # of all the pieces that a slice might hold, about this many are seen
 DB_TO_NEPER = math.log(10.0) / 10.0
 
 
 def strength(
-    distance: Float[Array, "*batch"], cosine: Float[Array, "*batch"], sonar: Sonar
+    distance: Float[Array, "*#batch"], cosine: Float[Array, "*#batch"], sonar: Sonar
 ) -> Float[Array, "*batch"]:
-    """Echo of one first hit at `distance` [m] (eq. 2 with I0 = k = 1): rⁿ spreading, two-way absorption, Lambert's law."""
+    """Echo of a first hit at `distance` [m] (eq. 2 with I0 = k = 1): rⁿ spreading, absorption, Lambert's law."""
     spread = distance ** (-jnp.asarray(sonar.spreading_exponent, jnp.float32))
     absorbed = jnp.exp(-2 * DB_TO_NEPER * sonar.absorption * distance)
     return spread * absorbed * jnp.maximum(cosine, 1e-6) ** jnp.asarray(sonar.lambert, jnp.float32)
@@ -29,11 +30,11 @@ def object_energy(
 ) -> Float[Array, "slab range"]:
     """Energy [rad/m²] per range bin of each slab, from the visible pieces' `ends`; `edges` (edge,) [m].
 
-    Each piece is cut into cells, so that a slice has at least `elevations` of them; a cell's energy is spread evenly
+    Each piece is cut into cells, so that a slice has about `elevations` of them; a cell's energy is spread evenly
     over the ranges it covers, widened by what its surface moves in range across the slab.
     """
     pieces = ends.tau.shape[1] // 2
-    cells = max(1, math.ceil(elevations / pieces))
+    cells = max(1, math.ceil(elevations / min(pieces, USUAL_PIECES)))
     nodes = slabs.middle + GAUSS * slabs.width * jnp.array([[-1.0], [1.0]])
     distance, tau, cosine = _cells(ends, nodes, scene, cells)  # (node, slab, piece, cell end)
     moved = jnp.abs(distance[1] - distance[0]) / (8 * GAUSS)
@@ -50,9 +51,7 @@ def object_energy(
     return _spread(by_slab(energy), by_slab(near), by_slab(far), edges)
 
 
-def _cells(
-    ends: Ends, azimuth: Float[Array, "node slab"], scene: Scene, cells: int
-) -> tuple[Array, Array, Array]:
+def _cells(ends: Ends, azimuth: Float[Array, "node slab"], scene: Scene, cells: int) -> tuple[Array, Array, Array]:
     """Range [m], elevation tangent and cos(incidence) (node, slab, piece, cell end) at `azimuth` [rad]."""
     theta = azimuth[..., None]
     corners = corners_of(scene, ends.surface)
@@ -109,11 +108,10 @@ def floor_energy(
 
 
 def _floor_span(a: Array, b: Array, scene: Scene) -> tuple[Array, Array]:
-    """Nearest and farthest floor range [m] inside the aperture; the farthest is very far where the horizon is in view."""
-    return tuple(
-        piece_range(jnp.stack(jnp.broadcast_arrays(a, b), -1), jnp.broadcast_to(tau, a.shape))
-        for tau in (scene.view.tau_min, scene.view.tau_max)
-    )
+    """Nearest and farthest floor range [m] inside the aperture; very far where the horizon is in view."""
+    line = jnp.stack(jnp.broadcast_arrays(a, b), -1)
+    low, high = (piece_range(line, jnp.broadcast_to(tau, a.shape)) for tau in (scene.view.tau_min, scene.view.tau_max))
+    return low, high
 
 
 def floor_lit(azimuth: Float[Array, "beam"], scene: Scene, edges: Float[Array, "edge"]) -> Array:

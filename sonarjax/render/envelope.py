@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from sonarjax.render.segments import CROSSING, EDGE, FIXED, Segments
 
@@ -89,7 +89,7 @@ def _exact(segments: Segments) -> Pieces:
 
 
 def _sorted_order(values: Float[Array, "slab end"]) -> Int[Array, "slab end"]:
-    """As `argsort` along the last axis, by one integer sort (three times faster): the position replaces the lowest bits."""
+    """As `argsort` along the last axis, by one integer sort (thrice as fast): the position replaces the lowest bits."""
     bits = (values.shape[1] - 1).bit_length()
     as_int = values.view(jnp.int32)
     ordered = jnp.where(as_int < 0, as_int ^ 0x7FFFFFFF, as_int)

@@ -48,8 +48,8 @@ class SonarFrame:
 def semantic_image(
     highlight: Float[Array, "*batch range beam"], shadow: Float[Array, "*batch range beam"]
 ) -> Float[Array, "*batch range beam"]:
-    """0.5·(1 + h − s·(1 − h)): the classes' shares (…, range, beam) as one grey image in [0, 1]."""
-    return 0.5 * (1 + highlight - shadow * (1 - highlight))
+    """0.5·(1 + h − s·(1 − h)): the classes' shares (range, beam) as one grey image in [0, 1]."""
+    return jnp.clip(0.5 * (1 + highlight - shadow * (1 - highlight)), 0.0, 1.0)
 
 
 def render(
@@ -64,7 +64,7 @@ def render(
 
     Differentiable in every float of `pose` [m, rad], `sonar` and the vertices, under jit, vmap, grad and jacfwd, the
     visibility included. `sub_beams` is the number of azimuth parts of a beam; edges of the object split it further.
-    `elevations` is the least number of elevation cells of the energy integral; which surface is visible does not
+    `elevations` is about the number of elevation cells of the energy integral; which surface is visible does not
     depend on it below 33 triangles a slice (`envelope.EXACT_LIMIT`), and is sampled at that many elevations above.
 
     Raises SonarjaxError when the numbers of meshes and poses differ or a quality is below 1.

@@ -12,7 +12,7 @@ FAR_M = 1e4
 
 
 def patch_span(azimuth: Float[Array, "*slab"], scene: Scene, sonar: Sonar) -> tuple[Array, Array]:
-    """First and last slant range [m], each (..., slab, 1), at which the slice lies on the platform; (0, FAR_M) without one.
+    """First and last slant range [m], each (..., slab, 1), on the platform; (0, FAR_M) without one.
 
     On the floor of a slice every side of the rectangle is a linear inequality in tau.
     """
@@ -55,9 +55,7 @@ def _ground_direction(azimuth: Array, sonar: Sonar) -> tuple[tuple[Array, Array]
     return (ct * c + st * sr * s, st * cr), (cr * s, -sr)
 
 
-def patch_lit(
-    azimuth: Float[Array, "beam"], scene: Scene, sonar: Sonar, edges: Float[Array, "edge"]
-) -> Array:
+def patch_lit(azimuth: Float[Array, "beam"], scene: Scene, sonar: Sonar, edges: Float[Array, "edge"]) -> Array:
     """Pixels (range, beam) whose middle lies on the floor or the platform; range `edges` (edge,) [m]."""
     start, stop = patch_span(azimuth, scene, sonar)
     middle = ((edges[1:] + edges[:-1]) / 2)[:, None]

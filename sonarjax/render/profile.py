@@ -1,8 +1,8 @@
-"""From the visible pieces of a slice to the ends of its highlights and shadows, and their ranges as differentiable numbers.
+"""From a slice's visible pieces to the ends of its highlights and shadows, and their ranges as differentiable numbers.
 
-A *run* is a chain of visible pieces without a gap in range: its echo covers every range between its nearest and its
-farthest point. A *stretch* is a chain of pieces without a gap in elevation: it hides every floor point between its ends.
-The chains are found without a gradient; `trace_range` and `trace_floor` then follow their ends through the vertices.
+A *run* is a chain of visible pieces without a gap in range: its echo covers every range between its nearest and
+its farthest point. A *stretch* is a chain of pieces without a gap in elevation: it hides every floor point between
+its ends. The chains are found without a gradient; `trace_ranges` then follows their ends through the vertices.
 """
 
 from __future__ import annotations
@@ -15,9 +15,21 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from sonarjax.render.envelope import Pieces
-from sonarjax.render.segments import CROSSING, EDGE, FLOOR, TAU_MAX, TAU_MIN, Segments, View, edge_point, plane_line
+from sonarjax.render.segments import (
+    CROSSING,
+    EDGE,
+    FLOOR,
+    NEAR_M,
+    TAU_MAX,
+    TAU_MIN,
+    Segments,
+    View,
+    edge_point,
+    plane_line,
+)
 
 EMPTY_TAU = 1e-7  # a piece narrower than this is nothing
+HORIZON = 1e-4  # least 1/planar range [1/m]: farther surfaces are put at 10 km
 GAP = 1e-4  # relative step in range that ends a run: ten times float32's error, far below any sonar's resolution
 
 
@@ -54,10 +66,10 @@ def max_items(crossings: int) -> int:
     return max(2, min(crossings // 2, 8 if crossings <= 32 else 12))
 
 
-def piece_range(line: Float[Array, "*batch 2"], tau: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+def piece_range(line: Float[Array, "*#batch 2"], tau: Float[Array, "*#batch"]) -> Float[Array, "*batch"]:
     """Slant range [m] at elevation tangent `tau` on the line (a, b) [1/m] (eq. 1 in slice coordinates)."""
     s = line[..., 0] + line[..., 1] * tau
-    return jnp.sqrt(1 + tau * tau) / jnp.maximum(s, 1e-4)
+    return jnp.sqrt(1 + tau * tau) / jnp.maximum(s, HORIZON)
 
 
 def find_outline(
@@ -174,8 +186,8 @@ def floor_line(azimuth: Float[Array, "*batch"], view: View) -> tuple[Array, Arra
 
 
 def trace_tau(
-    ends: Ends, azimuth: Float[Array, "*batch slab 1"], scene: Scene, surface: tuple[Array, Array]
-) -> Float[Array, "*batch slab item"]:
+    ends: Ends, azimuth: Float[Array, "node slab 1"], scene: Scene, surface: tuple[Array, Array]
+) -> Float[Array, "node slab item"]:
     """Elevation tangent of each end at other azimuths [rad] of its slab; `surface` is the line (a, b) there."""
     corners = corners_of(scene, ends.source)
     first = _corner(corners, ends.edge)
@@ -210,13 +222,20 @@ def trace_ranges(
     """
     theta = azimuth[..., None]
     ends = outline.ends
-    surface = plane_line(corners_of(scene, ends.surface), theta)
+    corners = corners_of(scene, ends.surface)
+    surface = plane_line(corners, theta)
     tau = trace_tau(ends, theta, scene, surface)
     half = ends.tau.shape[1] // 2
     on_object = jnp.arange(2 * half) < half
     line = [jnp.where(on_object, o, f) for o, f in zip(surface, floor_line(theta, scene.view), strict=True)]
-    foot = jax.lax.rsqrt(surface[0] ** 2 + surface[1] ** 2 + 1e-12)
-    ranges = jnp.where(ends.foot, foot, piece_range(jnp.stack(line, -1), tau))
+    # No point of a triangle is nearer than its nearest corner or farther than its farthest, as seen along the slice;
+    # the plane of a facet seen edge-on is, as soon as it is followed to another azimuth.
+    reach = jnp.cos(theta)[..., None] * corners[..., 0] + jnp.sin(theta)[..., None] * corners[..., 1]
+    nearest, farthest = jnp.maximum(reach.min(-1), NEAR_M), jnp.maximum(reach.max(-1), NEAR_M)
+    s = line[0] + line[1] * tau
+    s = jnp.where(on_object, jnp.clip(s, 1 / farthest, 1 / nearest), jnp.maximum(s, HORIZON))
+    foot = jnp.maximum(jax.lax.rsqrt(surface[0] ** 2 + surface[1] ** 2 + 1e-12), nearest)
+    ranges = jnp.where(ends.foot, foot, jnp.sqrt(1 + tau * tau) / s)
     return ranges.reshape(*azimuth.shape, 4, half // 2)
 
 

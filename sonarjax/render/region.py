@@ -1,4 +1,4 @@
-"""Which part of the image an object and its shadow can touch: sizes are fixed on the host, positions may be traced."""
+"""Which part of the image an object and its shadow can touch: sizes fixed on the host, positions may be traced."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from sonarjax.render.window import Window
 from sonarjax.scene import Mesh
 from sonarjax.sonar import Sonar
 
+MARGIN_BEAMS, MARGIN_BINS = 3, 12  # around the union of all yaws; wider margins lower the correlation
 ROW_STEP, COLUMN_STEP = 64, 8  # window sizes are rounded up to these, so that neighbours share compiled code
 
 
@@ -22,10 +23,14 @@ def window_shape(mesh: Mesh, sonar: Sonar, ground_range: float, slack: float = 0
     """
     reach = mesh.radius + slack
     near, far = _slant_extent(mesh, sonar, ground_range, slack)
-    rows = math.ceil((far - near) / float(sonar.range_bin)) + 4
-    columns = math.ceil(_azimuth_width(mesh, sonar, ground_range, reach) / float(_spacing(sonar).min())) + 4
+    rows = math.ceil((far - near) / float(sonar.range_bin)) + 2 * MARGIN_BINS + 4
+    columns = (
+        math.ceil(_azimuth_width(mesh, sonar, ground_range, reach) / float(_spacing(sonar).min()))
+        + 2 * MARGIN_BEAMS
+        + 2
+    )
     rows, columns = -(-rows // ROW_STEP) * ROW_STEP, -(-columns // COLUMN_STEP) * COLUMN_STEP
-    return min(rows, sonar.n_ranges), min(columns, sonar.n_beams)
+    return min(max(rows, ROW_STEP), sonar.n_ranges), min(columns, sonar.n_beams)
 
 
 def _spacing(sonar: Sonar) -> np.ndarray:
@@ -58,7 +63,7 @@ def place_window(shape: tuple[int, int], mesh: Mesh, sonar: Sonar, x: Any, y: An
     x, y, height = (jnp.asarray(v, jnp.float32) for v in (x, y, sonar.height))
     ground = jnp.hypot(x, y)
     near = jnp.hypot(jnp.maximum(ground - mesh.radius - slack, 0.0), jnp.maximum(height - mesh.top, 0.0))
-    row = jnp.floor((near - sonar.range_min) / sonar.range_bin).astype(jnp.int32) - 2
+    row = jnp.floor((near - sonar.range_min) / sonar.range_bin).astype(jnp.int32) - 2 - MARGIN_BINS
     bearing = image_azimuth(x, y, sonar)
     column = jnp.searchsorted(jnp.asarray(sonar.azimuth), bearing).astype(jnp.int32) - shape[1] // 2
     row = jnp.clip(row, 0, sonar.n_ranges - shape[0])
@@ -66,13 +71,13 @@ def place_window(shape: tuple[int, int], mesh: Mesh, sonar: Sonar, x: Any, y: An
 
 
 def image_azimuth(x: Any, y: Any, sonar: Sonar) -> Any:
-    """Azimuth in the (tilted, unrolled) sonar frame [rad] of a floor point (x, y) [m]: where it appears in the image."""
+    """Azimuth in the (tilted, unrolled) sonar frame [rad] of a floor point (x, y) [m]."""
     forward = jnp.cos(jnp.asarray(sonar.tilt)) * x + jnp.sin(jnp.asarray(sonar.tilt)) * sonar.height
     return jnp.arctan2(jnp.asarray(y, jnp.float32), forward)
 
 
 def floor_point(slant_range: Any, azimuth: Any, sonar: Sonar) -> tuple[Any, Any]:
-    """Ground (x, y) [m] of the floor seen at `slant_range` [m] and image `azimuth` [rad] (no roll); inverse of the above."""
+    """Ground (x, y) [m] of the floor seen at `slant_range` [m] and image `azimuth` [rad], without roll."""
     ground = jnp.sqrt(jnp.maximum(jnp.asarray(slant_range) ** 2 - jnp.asarray(sonar.height) ** 2, 1e-6))
     tan = jnp.tan(jnp.asarray(azimuth))
     ct, lift = jnp.cos(jnp.asarray(sonar.tilt)), jnp.sin(jnp.asarray(sonar.tilt)) * sonar.height

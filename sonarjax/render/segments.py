@@ -1,7 +1,7 @@
-"""Cutting triangles with a half-plane of constant azimuth: each gives a segment in the (elevation tangent, 1/range) plane.
+"""Cutting triangles with a half-plane of constant azimuth: segments in the plane of elevation tangent and 1/range.
 
-With tau = tan(elevation) and s = 1 / planar range, a plane of eq. 1 is the straight line s = G · (cos θ, sin θ, tau), so
-the nearest surface of a slice is the upper envelope of segments of straight lines.
+With tau = tan(elevation) and s = 1 / planar range, a plane of eq. 1 is the straight line s = G · (cos θ, sin θ, tau),
+so the nearest surface of a slice is the upper envelope of segments of straight lines.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ class Segments(NamedTuple):
 
 
 def plane_line(
-    corners: Float[Array, "*batch 3 3"], azimuth: Float[Array, "*nodes"]
-) -> tuple[Float[Array, "*nodes_batch"], Float[Array, "*nodes_batch"]]:
+    corners: Float[Array, "*#batch 3 3"], azimuth: Float[Array, "*#batch"]
+) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
     """(a, b) [1/m] of the planes through triangles (..., corner, xyz) [m] as lines s = a + b·tau at `azimuth` [rad]."""
     first = corners[..., 0, :]
     normal = jnp.cross(corners[..., 1, :] - first, corners[..., 2, :] - first)
@@ -61,9 +61,9 @@ def plane_line(
 
 
 def edge_point(
-    start: Float[Array, "*batch 3"], end: Float[Array, "*batch 3"], azimuth: Float[Array, "*nodes"]
-) -> tuple[Float[Array, "*nodes_batch"], Float[Array, "*nodes_batch"]]:
-    """Planar range and height (rho, z) [m] at which the edge from `start` to `end` [m] passes through `azimuth` [rad]."""
+    start: Float[Array, "*#batch 3"], end: Float[Array, "*#batch 3"], azimuth: Float[Array, "*#batch"]
+) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+    """Planar range and height (rho, z) [m] where the edge from `start` to `end` [m] passes `azimuth` [rad]."""
     c, s = jnp.cos(azimuth), jnp.sin(azimuth)
     u0, u1 = c * start[..., 1] - s * start[..., 0], c * end[..., 1] - s * end[..., 0]
     step = u0 - u1
@@ -74,7 +74,7 @@ def edge_point(
 
 
 def cut(corners: Float[Array, "*batch 3 3"], azimuth: Float[Array, "*batch"], view: View) -> Segments:
-    """Segments of triangles (..., corner, xyz) [m] at `azimuth` [rad], clipped to the aperture and to the space above the floor."""
+    """Segments of triangles (..., corner, xyz) [m] at `azimuth` [rad], inside the aperture and above the floor."""
     c, s = jnp.cos(azimuth), jnp.sin(azimuth)
     side = c[..., None] * corners[..., 1] - s[..., None] * corners[..., 0] > 0  # (..., corner): to port of the slice
     lone = jnp.where(side[..., 0] == side[..., 1], 2, jnp.where(side[..., 0] == side[..., 2], 1, 0))

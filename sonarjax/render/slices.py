@@ -29,7 +29,7 @@ class Slabs(NamedTuple):
 
 
 def make_slabs(azimuth_edges: Float[Array, "edge"], events: Float[Array, "event"], sub_beams: int) -> Slabs:
-    """Slabs between all beam edges (edge,) [rad], `sub_beams` even parts of each beam, and event azimuths (event,) [rad]."""
+    """Slabs between beam edges (edge,) [rad], `sub_beams` even parts of each, and event azimuths (event,) [rad]."""
     width = jnp.diff(azimuth_edges)
     parts = jnp.arange(sub_beams, dtype=jnp.float32) / sub_beams
     inner = (azimuth_edges[:-1, None] + width[:, None] * parts).reshape(-1)

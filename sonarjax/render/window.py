@@ -39,8 +39,11 @@ class Window(NamedTuple):
     """A part of the image: `shape` (range, beam) pixels whose first one is (`row`, `column`)."""
 
     row: Int[Array, ""] | int
+    """First range bin."""
     column: Int[Array, ""] | int
+    """First beam."""
     shape: tuple[int, int]
+    """Number of (range, beam) pixels."""
 
 
 class Layers(NamedTuple):
@@ -120,24 +123,32 @@ def _per_beam(slabs: Slabs, values: Float[Array, "slab range"]) -> Float[Array, 
 
 
 def _highlight(
-    outline: Outline, ranges: Float[Array, "node slab four item"], slabs: Slabs, sonar: Sonar, edges: Float[Array, "edge"]
+    outline: Outline,
+    ranges: Float[Array, "node slab four item"],
+    slabs: Slabs,
+    sonar: Sonar,
+    edges: Float[Array, "edge"],
 ) -> Float[Array, "range beam"]:
-    """Share of each pixel's range cell that first hits cover; a run's echo is no shorter than the pulse (at least a bin)."""
+    """Share of each pixel's range cell that first hits cover; a run is no shorter than the pulse (at least a bin)."""
     bins = (ranges - edges[0]) / sonar.range_bin
     pulse = jnp.maximum(jnp.asarray(sonar.pulse_length, jnp.float32) / sonar.range_bin, 1.0)
     middle = (bins[:, :, 0] + bins[:, :, 1]) / 2
     half = jnp.maximum(bins[:, :, 1] - bins[:, :, 0], pulse) / 2
     share = covered(swept(middle - half), swept(middle + half), outline.runs, _bin_edges(edges))
-    return _per_beam(slabs, jnp.clip(share, 0.0, 1.0))
+    return jnp.clip(_per_beam(slabs, jnp.clip(share, 0.0, 1.0)), 0.0, 1.0)
 
 
 def _shadow(
-    outline: Outline, ranges: Float[Array, "node slab four item"], slabs: Slabs, sonar: Sonar, edges: Float[Array, "edge"]
+    outline: Outline,
+    ranges: Float[Array, "node slab four item"],
+    slabs: Slabs,
+    sonar: Sonar,
+    edges: Float[Array, "edge"],
 ) -> Float[Array, "range beam"]:
     """Share of each pixel's floor that is hidden behind an object."""
     bins = (ranges - edges[0]) / sonar.range_bin
     share = covered(swept(bins[:, :, 2]), swept(bins[:, :, 3]), outline.stretches, _bin_edges(edges))
-    return _per_beam(slabs, jnp.clip(share, 0.0, 1.0))
+    return jnp.clip(_per_beam(slabs, jnp.clip(share, 0.0, 1.0)), 0.0, 1.0)
 
 
 def _bin_edges(edges: Float[Array, "edge"]) -> Float[Array, "edge"]:

@@ -210,7 +210,9 @@ def _crossings(vertices: np.ndarray, faces: np.ndarray, closed: bool, views: int
             seen = normals @ (math.cos(down) * along + np.array([0, 0, -math.sin(down)])) < 0
             spans = triangles[seen if closed else slice(None)] @ across
             worst = max(worst, _deepest_overlap(spans.min(axis=1), spans.max(axis=1)))
-    return min(-(-math.ceil(worst * 1.15) // 4) * 4 if worst < 64 else _bucket(math.ceil(worst * 1.15)), _bucket(len(faces)))
+    return min(
+        -(-math.ceil(worst * 1.15) // 4) * 4 if worst < 64 else _bucket(math.ceil(worst * 1.15)), _bucket(len(faces))
+    )
 
 
 def _deepest_overlap(starts: np.ndarray, ends: np.ndarray) -> int:

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
-from skimage.filters import threshold_multiotsu
 from skimage.filters import median as median_filter
+from skimage.filters import threshold_multiotsu
 
 from sonarjax.io.errors import SonarjaxError
 

@@ -120,12 +120,12 @@ class Sonar:
 
     @property
     def range_edges(self) -> Float[Array, "edge"]:
-        """Range bin edges (n_ranges + 1,) [m]."""
+        """Range bin edges (edge,), one more than bins [m]."""
         return self.range_min + self.range_bin * jnp.arange(self.n_ranges + 1, dtype=jnp.float32)
 
     @property
     def azimuth_edges(self) -> Float[Array, "edge"]:
-        """Beam edges (n_beams + 1,) [rad]: midway between centres, the outer two as far out as the inner ones."""
+        """Beam edges (edge,), one more than beams [rad]: midway between centres, the outer two as far out as theirs."""
         centers = jnp.asarray(self.azimuth)
         if centers.shape[-1] == 1:
             half = jnp.maximum(jnp.asarray(self.beam_width, jnp.float32), 1e-4) / 2

@@ -227,7 +227,7 @@ def assert_finite(mesh, poses):
 
 def test_finite_at_many_poses():
     poses = special_poses(np.random.default_rng(0))
-    value, grad = assert_finite(objects.brick(), poses)
+    _, grad = assert_finite(objects.brick(), poses)
     seen = np.abs(grad[:, :3]).max(1) > 0
     print(f"\n{seen.mean():.2f} of the poses are seen; largest gradient {np.abs(grad).max():.3g}")
     assert 0.3 < seen.mean() < 0.95
@@ -241,7 +241,7 @@ def test_open_meshes_are_finite(name):
         corners = np.array([[0, -0.2, 0], [0, 0.2, 0], [0, 0.2, 0.2], [0, -0.2, 0.2]])
         mesh, poses = Mesh.from_arrays(corners, [[0, 1, 2], [0, 2, 3]]), special_poses(np.random.default_rng(2), 200)
     assert not mesh.closed
-    value, grad = assert_finite(mesh, poses)
+    _, grad = assert_finite(mesh, poses)
     assert np.abs(grad[:, :3]).max() > 0
 
 
