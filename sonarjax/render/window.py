@@ -111,7 +111,7 @@ def render_window(mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, sub_beam
     floor = patch_lit(azimuth, scene, sonar, edges)
     bare = floor_energy(azimuth, scene, sonar, edges) * floor
     lit = (floor_lit(azimuth, scene, edges) & floor) | (highlight > 0.5)
-    return Layers(echo + bare * (1 - shadow), highlight, shadow, lit)
+    return Layers(jnp.maximum(echo, 0.0) + bare * (1 - shadow), highlight, shadow, lit)
 
 
 def _columns(values: Float[Array, "beam"], first: Int[Array, ""] | int, count: int) -> Float[Array, "column"]:
