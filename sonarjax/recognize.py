@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -196,8 +195,8 @@ def recognize(
     hypotheses, estimate = _hypotheses(starts, np.where(valid, np.asarray(found.score), scores.max())), None
     if refine:
         pose = Pose(np.full(HYPOTHESES, x), np.full(HYPOTHESES, y), starts)
-        estimate = jax.tree.map(np.asarray, refine_yaw(semantic, mesh, sonar, pose, mask=mask))
-        hypotheses = _hypotheses(estimate.yaw, estimate.score, estimate.yaw_std)
+        estimate = refine_yaw(semantic, mesh, sonar, pose, mask=mask)
+        hypotheses = _hypotheses(*(np.asarray(v) for v in (estimate.yaw, estimate.score, estimate.yaw_std)))
         x, y = _place_of_best(estimate)
     limit = THRESHOLDS[segmenter] if threshold is None else float(threshold)
     score = float(scores.max())

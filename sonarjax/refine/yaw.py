@@ -22,9 +22,9 @@ from sonarjax.sonar import Sonar
 
 BOUNDS = (math.radians(40.0), 0.15, 0.15)
 """Largest change of yaw [rad], x [m] and y [m] from the start."""
-BLURS_PX = (8.0, 3.0, 1.0)
+BLURS_PX = (8.0, 2.0)
 """Standard deviations of the blur in range bins, coarse to fine: the coarse ones widen the basin."""
-ITERATIONS = 6
+ITERATIONS = 5
 SUB_BEAMS = 1
 SLACK_M = 0.06
 CONVERGED_STEP = 2e-3

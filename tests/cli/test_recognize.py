@@ -53,8 +53,11 @@ def test_without_refinement_yaw_is_the_bin(recognize, rendered, tmp_path):
 
 
 def test_a_sonar_that_sees_no_floor_is_refused_at_once(complaint, place, rendered, tmp_path):
-    sonar, out = tmp_path / "up.toml", tmp_path / "r.jsonl"
-    sonar.write_text((place / "sonar.toml").read_text().replace("tilt_deg = 20.0", "tilt_deg = -60.0"))
+    sonar, out = tmp_path / "short.toml", tmp_path / "r.jsonl"  # its window ends above the floor
+    text = (place / "sonar.toml").read_text()
+    sonar.write_text(
+        text.replace("range_min_m = 1.5", "range_min_m = 0.2").replace("range_max_m = 4.0", "range_max_m = 0.5")
+    )
     files = ["--target", place / "brick.stl", "--sonar", sonar, "--out", out]
     assert "floor" in complaint(2, "recognize", rendered, *files)
     assert not out.exists()

@@ -1,0 +1,268 @@
+"""How fast the renderer is beside Embree (Open3D's RaycastingScene) with NumPy binning, in the same run.
+
+python -m experiments.bench_render [--smoke]: prints one table and draws runs/bench_render/triangles.png; `run` returns
+its numbers. The peer casts one ray per beam and elevation and fills the same range bins with the same three classes; it
+holds no gradient and no shares of pixels. Open3D is of the `bench` extra; without it the peer's rows are left out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from experiments.bench_match import time_all
+from sonarjax.render import TemplateBank, template_bank
+from sonarjax.scene import Mesh
+from sonarjax.scene.objects import ball, target
+from sonarjax.sonar import Sonar
+
+X_M = 2.3  # where the object stands
+SAME_SURFACE_BINS = 8  # neighbouring rays whose ranges differ by less belong to one surface: bins between are filled
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What is timed; every field is a command line option."""
+
+    views: int = 36
+    """Yaws of the brick pile's bank, over the full circle."""
+    elevations: int = 128
+    """The peer's rays in each beam."""
+    big_views: int = 6
+    """Yaws of the banks of large meshes."""
+    triangles: tuple[int, ...] = (100, 1_000, 10_000, 100_000)
+    """About how many triangles the meshes of the cost curve have."""
+    repeats: int = 9
+    """Rounds; each times every contender once."""
+    out: str = "runs/bench_render"
+    """Folder of the figure."""
+    smoke: bool = False
+    """A run of seconds: few views, small meshes, three rounds."""
+
+
+def make_sonar() -> Sonar:
+    """The DIDSON of §4.1 with a tilt of 20 degrees."""
+    return Sonar.preset("didson-hf", tilt=math.radians(20.0), height=0.9, range_min=1.5, range_max=4.0)
+
+
+class Embree:
+    """The peer: rays of a box of the frame, cast against a mesh that is turned, or turned themselves."""
+
+    def __init__(self, mesh: Mesh, sonar: Sonar, elevations: int, box: tuple[int, int, int, int] | None = None) -> None:
+        """`box` is (first row, first column, rows, columns) in pixels; by default the frame. Raises ImportError."""
+        import open3d.core as o3c
+        from open3d.t.geometry import RaycastingScene
+
+        self._tensor, self._scene_type = o3c.Tensor, RaycastingScene
+        faces = np.asarray(mesh.faces)
+        self.faces = faces[faces[:, 0] != faces[:, 1]].astype(np.uint32)
+        self.vertices = np.asarray(mesh.vertices, np.float32)
+        self.scene = self._build(self.vertices)
+        self.row, column, self.rows, columns = box or (0, 0, *sonar.shape)
+        self.near, self.step = float(sonar.range_min), float(sonar.range_bin)
+        azimuth = np.asarray(sonar.azimuth, np.float64)[column : column + columns, None]
+        half = float(sonar.elevation_aperture) / 2
+        bounds = np.linspace(-half, half, elevations + 1)
+        self.head = np.array([0.0, 0.0, float(sonar.height)], np.float32)
+        self.rays = _ground_rays(azimuth, (bounds[1:] + bounds[:-1]) / 2, float(sonar.tilt))
+        self.floor = _floor_range(self.rays, self.head[2])
+        ends = self._bin(_floor_range(_ground_rays(azimuth, bounds, float(sonar.tilt)), self.head[2]))
+        self.floor_start, self.floor_stop = ends[:, :-1], ends[:, 1:]
+        self.first = np.arange(self.rays.shape[0])[:, None] * (self.rows + 1)
+
+    def _build(self, vertices: np.ndarray) -> Any:
+        scene = self._scene_type()
+        scene.add_triangles(self._tensor(vertices), self._tensor(self.faces))
+        return scene
+
+    def _bin(self, distance: np.ndarray) -> np.ndarray:
+        bins = np.minimum((distance - self.near) * (1 / self.step), 1e6).astype(np.int32) - self.row
+        return np.clip(bins, 0, self.rows)
+
+    def turned_rays(self, x: float, yaws: np.ndarray) -> np.ndarray:
+        """Semantic images (yaw, range, beam); the rays are turned into the object's frame, one cast for each view."""
+        rays = np.empty((*self.rays.shape[:-1], 6), np.float32)
+        images = []
+        for yaw in yaws:
+            turn = _rotation_z(yaw)  # row vectors times it: ground to object
+            rays[..., :3] = (self.head - np.array([x, 0, 0], np.float32)) @ turn
+            rays[..., 3:] = self.rays @ turn
+            images.append(self._image(self.scene.cast_rays(self._tensor(rays))["t_hit"].numpy()))
+        return np.stack(images)
+
+    def rebuilt_scene(self, x: float, yaws: np.ndarray) -> np.ndarray:
+        """Semantic images (yaw, range, beam); the mesh is turned and Embree's tree built anew for each view."""
+        rays = np.empty((*self.rays.shape[:-1], 6), np.float32)
+        rays[..., :3], rays[..., 3:] = self.head, self.rays
+        images = []
+        for yaw in yaws:
+            scene = self._build(self.vertices @ _rotation_z(yaw).T + np.array([x, 0, 0], np.float32))
+            images.append(self._image(scene.cast_rays(self._tensor(rays))["t_hit"].numpy()))
+        return np.stack(images)
+
+    def _image(self, distance: np.ndarray) -> np.ndarray:
+        """Range bins and labels (range, beam) of first hits (beam, elevation) [m], as one grey image."""
+        solid = distance < self.floor
+        bins = self._bin(distance)
+        after = np.concatenate([bins[:, 1:], bins[:, -1:]], axis=1)
+        joined = solid & np.concatenate([solid[:, 1:], solid[:, -1:]], axis=1) & (abs(after - bins) < SAME_SURFACE_BINS)
+        after = np.where(joined, after, bins)
+        highlight = self._filled(np.minimum(bins, after), np.minimum(np.maximum(bins, after) + 1, self.rows), solid)
+        shadow = self._filled(self.floor_start, self.floor_stop, solid)
+        return np.where(highlight, np.float32(1), np.where(shadow, np.float32(0), np.float32(0.5))).T
+
+    def _filled(self, start: np.ndarray, stop: np.ndarray, solid: np.ndarray) -> np.ndarray:
+        size = len(start) * (self.rows + 1)
+        begins = np.bincount((start + self.first)[solid], minlength=size)
+        ends = np.bincount((stop + self.first)[solid], minlength=size)
+        return np.cumsum((begins - ends).reshape(-1, self.rows + 1)[:, : self.rows], axis=1) > 0
+
+
+def _rotation_z(yaw: float) -> np.ndarray:
+    c, s = math.cos(yaw), math.sin(yaw)
+    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]], np.float32)
+
+
+def _ground_rays(azimuth: np.ndarray, elevation: np.ndarray, tilt: float) -> np.ndarray:
+    """Unit rays (beam, elevation, 3) in the ground frame."""
+    c, s = math.cos(tilt), math.sin(tilt)
+    x, y = np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth)
+    z = np.broadcast_to(np.sin(elevation), x.shape)
+    return np.stack([c * x + s * z, y, c * z - s * x], -1).astype(np.float32)
+
+
+def _floor_range(rays: np.ndarray, height: float) -> np.ndarray:
+    return np.where(rays[..., 2] < -1e-6, height / np.maximum(-rays[..., 2], 1e-6), np.inf).astype(np.float32)
+
+
+def compare(mesh: Mesh, sonar: Sonar, views: int, settings: Settings, variants: bool) -> dict[str, Any]:
+    """Median seconds of one bank by each contender, and how far the labels agree with ours."""
+    yaws = np.arange(views) * (2 * np.pi / views)
+    bank = template_bank(mesh, sonar, yaws, x=X_M)
+    functions = {"sonarjax": lambda: np.asarray(template_bank(mesh, sonar, yaws, x=X_M).templates)}
+    try:
+        frame = Embree(mesh, sonar, settings.elevations)
+        functions["Embree, rays turned"] = lambda: frame.turned_rays(X_M, yaws)
+        if variants:
+            part = Embree(mesh, sonar, settings.elevations, (*bank.offset, *bank.templates.shape[1:]))
+            functions["Embree, scene rebuilt"] = lambda: frame.rebuilt_scene(X_M, yaws)
+            functions["Embree, template's box only"] = lambda: part.turned_rays(X_M, yaws)
+    except ImportError:
+        pass
+    seconds, results = time_all(functions, settings.repeats)
+    return {
+        "triangles": int((np.asarray(mesh.faces)[:, 0] != np.asarray(mesh.faces)[:, 1]).sum()),
+        "views": views,
+        "seconds": seconds,
+        "ratio": {name: value / seconds["sonarjax"] for name, value in seconds.items()},
+        "agree": {name: agreement(images, bank) for name, images in results.items()},
+    }
+
+
+def agreement(images: np.ndarray, bank: TemplateBank) -> float:
+    """Share of the pixels in the bank's box that `images` or ours call highlight or shadow and both call the same."""
+    (row, column), (rows, columns) = bank.offset, bank.templates.shape[1:]
+    if images.shape != bank.templates.shape:
+        images = images[:, row : row + rows, column : column + columns]
+    ours, theirs = (np.digitize(v, [0.25, 0.75]) for v in (np.asarray(bank.templates), images))
+    either = (ours != 1) | (theirs != 1)
+    return float((ours == theirs)[either].mean())
+
+
+def ball_of(triangles: int) -> Mesh:
+    """A ball of about that many triangles."""
+    rings = max(3, round((1 + math.sqrt(1 + triangles)) / 2))
+    return ball(rings=rings, sectors=2 * rings)
+
+
+def growth(rows: list[dict[str, Any]], name: str) -> dict[str, float]:
+    """Exponent p of cost ~ triangles^p: the least-squares fit, and the steepest step between neighbours."""
+    named = [row for row in rows if name in row["seconds"]]
+    if len(named) < 2:
+        return {}
+    count = np.log([row["triangles"] for row in named])
+    cost = np.log([row["seconds"][name] / row["views"] for row in named])
+    return {"fit": float(np.polyfit(count, cost, 1)[0]), "steepest": float((np.diff(cost) / np.diff(count)).max())}
+
+
+def draw(report: dict[str, Any], folder: Path) -> Path:
+    """Cost of a view against triangles, ours and the peer's, as a PNG."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(5.5, 4), layout="constrained")
+    for name in ("sonarjax", "Embree, rays turned"):
+        rows = [row for row in report["curve"] if name in row["seconds"]]
+        if rows:
+            x, y = [r["triangles"] for r in rows], [1e3 * r["seconds"][name] / r["views"] for r in rows]
+            axes.loglog(x, y, "o-", label=f"{name} (exponent {report['growth'][name].get('fit', math.nan):.2f})")
+    axes.set(xlabel="triangles of the ball", ylabel="time of one view [ms]", title=f"one view, {report['device']}")
+    axes.grid(True, which="both", alpha=0.3)
+    axes.legend()
+    folder.mkdir(parents=True, exist_ok=True)
+    figure.savefig(folder / "triangles.png", dpi=150)
+    plt.close(figure)
+    return folder / "triangles.png"
+
+
+def run(settings: Settings) -> dict[str, Any]:
+    """The bank of the brick pile, a mesh of 40,000 triangles and the cost curve: seconds, ratios, growth."""
+    if settings.smoke:
+        settings = replace(settings, views=12, big_views=2, triangles=(100, 1_000), repeats=3)
+    sonar = make_sonar()
+    report: dict[str, Any] = {"device": jax.devices()[0].platform}
+    report["bank"] = compare(target(), sonar, settings.views, settings, variants=True)
+    report["big"] = compare(ball(rings=100, sectors=200), sonar, settings.big_views, settings, variants=False)
+    curve = [compare(ball_of(n), sonar, settings.big_views, settings, variants=False) for n in settings.triangles]
+    report["curve"] = sorted([*curve, report["big"]], key=lambda row: row["triangles"])
+    report["growth"] = {name: growth(report["curve"], name) for name in ("sonarjax", "Embree, rays turned")}
+    report["figure"] = str(draw(report, Path(settings.out)))
+    return report
+
+
+def table(report: dict[str, Any]) -> str:
+    """The report as text: a line for each scene and contender; ratios above 1 say that ours is faster."""
+    lines = [
+        f"{'triangles':>9} {'views':>6}  {'method':<28} {'ms / bank':>10} {'ms / view':>10} {'x ours':>7} {'agree':>7}"
+        f"   ({report['device']})"
+    ]
+    for row in [report["bank"], *report["curve"]]:
+        for name, value in row["seconds"].items():
+            lines.append(
+                f"{row['triangles']:>9} {row['views']:>6}  {name:<28} {1e3 * value:>10.2f}"
+                f" {1e3 * value / row['views']:>10.3f} {row['ratio'][name]:>7.2f} {row['agree'][name]:>7.3f}"
+            )
+    for name, exponent in report["growth"].items():
+        if exponent:
+            lines.append(
+                f"{name}: cost grows as triangles^{exponent['fit']:.2f}, steepest step {exponent['steepest']:.2f}"
+            )
+    lines.append(f"figure: {report['figure']}")
+    return "\n".join(lines)
+
+
+def parse(settings: Any, description: str | None, arguments: list[str] | None = None) -> Any:
+    """An instance of the dataclass `settings` from the command line: one option for each field."""
+    parser = argparse.ArgumentParser(description=description.splitlines()[0] if description else None)
+    for option in fields(settings):
+        name = "--" + option.name.replace("_", "-")
+        if isinstance(option.default, bool):
+            parser.add_argument(name, action="store_true")
+        elif isinstance(option.default, tuple):
+            parser.add_argument(name, type=type(option.default[0]), nargs="+", default=option.default)
+        else:
+            parser.add_argument(name, type=type(option.default), default=option.default)
+    values = vars(parser.parse_args(arguments))
+    return settings(**{name: tuple(v) if isinstance(v, list) else v for name, v in values.items()})
+
+
+if __name__ == "__main__":
+    print(table(run(parse(Settings, __doc__))))

@@ -1,0 +1,364 @@
+"""Are the renderer's visibility gradients right? Against central differences of a converged render, over random scenes.
+
+python -m experiments.gradient_check [--poses N] [--smoke]: prints one table and draws runs/gradient_check/quality.png;
+`run` returns its numbers. Two losses of the semantic window to a fixed target (sum of squared differences, 1 - NCC) are
+differentiated by yaw, x and y at each quality; an error is divided by the RMS of that derivative over all scenes.
+`--poses N` also looks for NaN and infinity in value and gradient over N poses, degenerate ones among them; 0 skips it.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from experiments.bench_render import parse
+from sonarjax.refine.yaw import SUB_BEAMS
+from sonarjax.render import Window, place_window, render_window, semantic_window, window_shape
+from sonarjax.scene import Mesh, Pose, objects
+from sonarjax.sonar import Sonar
+
+MESHES = {"target": objects.target, "non_target": objects.non_target, "cylinder": objects.concrete_cylinder}
+TILTS = (15.0, 20.0, 25.0)  # [deg]
+NEAREST, FARTHEST, SIDE = 2.05, 2.4, 0.2  # where the objects stand [m]
+PARAMETERS, LOSSES = ("yaw", "x", "y"), ("squares", "1 - NCC")
+# Three steps of each, averaged: longer than the image's own roughness, shorter than its curvature.
+STEPS = np.array([[4e-3, 6e-3, 9e-3], [0.6e-3, 1.0e-3, 1.5e-3], [0.6e-3, 1.0e-3, 1.5e-3]])  # [rad], [m], [m]
+ELEVATIONS = 64
+LAYERS = ("intensity", "highlight", "shadow")
+BARS = {"median": 0.08, "p95": 0.25, "sign": 0.98, "forward": 0.03}
+CHUNK = 2000
+SONAR = Sonar.preset("didson-hf", tilt=math.radians(20.0), height=0.9, range_min=1.5, range_max=4.0)
+# A small frame of the same field of view, for the sweep over many poses.
+SMALL = SONAR.replace(azimuth=jnp.asarray(np.radians((np.arange(24) - 11.5) * 29 / 24), jnp.float32), n_ranges=96)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What is checked; every field is a command line option."""
+
+    scenes: int = 14
+    """Random scenes of each mesh."""
+    meshes: tuple[str, ...] = tuple(MESHES)
+    """Which objects."""
+    qualities: tuple[int, ...] = (1, 2, 4)
+    """Values of the quality knob `sub_beams`."""
+    converged: int = 8
+    """`sub_beams` of the render that is differenced."""
+    forward: int = 8
+    """The forward image is compared with one of that many times the sub-beams and elevations; 0 leaves this out."""
+    poses: int = 100_000
+    """Poses that are searched for NaN and infinity."""
+    seed: int = 0
+    """Seed of the scenes and poses."""
+    out: str = "runs/gradient_check"
+    """Folder of the figure."""
+    smoke: bool = False
+    """A run of seconds: three scenes of one mesh, refinement's quality alone, 200 poses, no forward check."""
+
+
+def load_meshes(names: tuple[str, ...]) -> dict[str, Mesh]:
+    """The objects by name; those of the same array sizes get the same static bounds, and so share compiled code."""
+    meshes = {name: MESHES[name]() for name in names}
+
+    def sizes(mesh: Mesh) -> tuple:
+        return mesh.vertices.shape, mesh.faces.shape, mesh.crease.shape, mesh.closed
+
+    shared = {}
+    for name, mesh in meshes.items():
+        alike = [other for other in meshes.values() if sizes(other) == sizes(mesh)]
+        bounds = {key: max(getattr(other, key) for other in alike) for key in ("crossings", "radius", "top")}
+        shared[name] = replace(mesh, **bounds)
+    return shared
+
+
+# ---------------------------------------------------------------- the two losses and their derivatives
+
+
+def picture(mesh: Mesh, sonar: Sonar, p: Any, window: Window, sub_beams: int) -> jax.Array:
+    """Semantic window (range, beam) at p = (yaw, x, y)."""
+    return semantic_window(mesh, Pose(p[1], p[2], p[0]), sonar, window, sub_beams, ELEVATIONS)
+
+
+def losses(image: Any, aim: Any) -> jax.Array:
+    """Sum of squared differences and 1 - NCC of two images (range, beam)."""
+    a, b = image - image.mean(), aim - aim.mean()
+    ncc = (a * b).sum() / jnp.sqrt((a * a).sum() * (b * b).sum())
+    return jnp.stack([((image - aim) ** 2).sum(), 1 - ncc])
+
+
+@partial(jax.jit, static_argnames=("shape", "sub_beams"))
+def pictures(mesh: Mesh, sonar: Sonar, points: Any, row: Any, column: Any, shape: Any, sub_beams: int) -> jax.Array:
+    """Semantic windows (point, range, beam) at points (point, 3), one after another: all perturbations of a scene."""
+    return jax.lax.map(lambda p: picture(mesh, sonar, p, Window(row, column, shape), sub_beams), points)
+
+
+@partial(jax.jit, static_argnames=("sub_beams",))
+def derivatives(mesh: Mesh, sonar: Sonar, p: Any, row: Any, column: Any, aim: Any, sub_beams: int) -> jax.Array:
+    """Derivatives (loss, parameter) of both losses at p by reverse mode."""
+
+    def both(p: jax.Array) -> jax.Array:
+        return losses(picture(mesh, sonar, p, Window(row, column, aim.shape), sub_beams), aim)
+
+    return jax.jacrev(both)(p)
+
+
+@partial(jax.jit, static_argnames=("shape", "sub_beams", "elevations"))
+def layers(
+    mesh: Mesh, sonar: Sonar, p: Any, row: Any, column: Any, shape: Any, sub_beams: int, elevations: int
+) -> tuple[jax.Array, ...]:
+    """Intensity, highlight and shadow (range, beam) of the window at p = (yaw, x, y)."""
+    out = render_window(mesh, Pose(p[1], p[2], p[0]), sonar, Window(row, column, shape), sub_beams, elevations)
+    return out.intensity, out.highlight, out.shadow
+
+
+def central(values: np.ndarray) -> np.ndarray:
+    """Derivatives (loss, parameter), averaged over the steps, from losses (sign × parameter × step, loss)."""
+    up, down = values.reshape(2, *STEPS.shape, len(LOSSES))
+    return ((up - down) / (2 * STEPS[..., None])).mean(1).T
+
+
+def check_scene(mesh: Mesh, sonar: Sonar, at: np.ndarray, off: np.ndarray, shape: Any, settings: Settings) -> dict:
+    """One scene: differences and, for each quality, derivatives, seconds and forward errors."""
+    window = place_window(shape, mesh, sonar, float(at[1]), float(at[2]))
+    corner = (window.row, window.column)
+    steps = np.eye(3)[:, None] * STEPS[..., None]  # (parameter, step, 3)
+    points = np.concatenate([np.stack([at + steps, at - steps]).reshape(-1, 3), (at + off)[None]])
+    drawn = np.asarray(
+        pictures(mesh, sonar, jnp.asarray(points, jnp.float32), *corner, shape, settings.converged), np.float64
+    )
+    # In float64 on the host: the differences are a millionth of the loss.
+    values = np.stack([host_losses(image, drawn[-1]) for image in drawn[:-1]])
+    found: dict[str, Any] = {"truth": central(values), "ours": {}, "seconds": {}, "forward": {}}
+    p, aim = jnp.asarray(at, jnp.float32), jnp.asarray(drawn[-1], jnp.float32)
+    for quality in settings.qualities:
+        found["ours"][quality] = np.asarray(derivatives(mesh, sonar, p, *corner, aim, quality), np.float64)
+        start = time.perf_counter()
+        derivatives(mesh, sonar, p, *corner, aim, quality).block_until_ready()
+        found["seconds"][quality] = time.perf_counter() - start
+    if settings.forward:
+        best = settings.forward * max(settings.qualities)
+        finer = layers(mesh, sonar, p, *corner, shape, best, settings.forward * ELEVATIONS)
+        for quality in settings.qualities:
+            rough = layers(mesh, sonar, p, *corner, shape, quality, ELEVATIONS)
+            found["forward"][quality] = [
+                float(jnp.sqrt(((a - b) ** 2).sum() / (b**2).sum())) for a, b in zip(rough, finer, strict=True)
+            ]
+    return found
+
+
+def host_losses(image: np.ndarray, aim: np.ndarray) -> np.ndarray:
+    """`losses` (loss,) in NumPy's float64."""
+    a, b = image - image.mean(), aim - aim.mean()
+    return np.array([((image - aim) ** 2).sum(), 1 - (a * b).sum() / np.sqrt((a * a).sum() * (b * b).sum())])
+
+
+def check_scenes(settings: Settings) -> list[dict[str, Any]]:
+    """All scenes of all meshes."""
+    from tqdm import tqdm
+
+    meshes = load_meshes(settings.meshes)
+    rng, found = np.random.default_rng(settings.seed), []
+    with tqdm(total=len(meshes) * settings.scenes, desc="scenes", unit="scene") as bar:
+        for name, mesh in meshes.items():
+            shapes = [window_shape(mesh, SONAR, ground, 0.03) for ground in (NEAREST, math.hypot(FARTHEST, SIDE))]
+            shape = max(s[0] for s in shapes), max(s[1] for s in shapes)
+            for k in range(settings.scenes):
+                sonar = SONAR.replace(tilt=jnp.float32(math.radians(TILTS[k % len(TILTS)])))
+                at = rng.uniform([0.0, NEAREST, -SIDE], [2 * math.pi, FARTHEST, SIDE])
+                turned = rng.choice([-1, 1]) * rng.uniform(0.05, 0.15)
+                off = np.array([turned, *rng.uniform(-0.012, 0.012, 2)])
+                found.append({"mesh": name, **check_scene(mesh, sonar, at, off, shape, settings)})
+                bar.update()
+    return found
+
+
+def summary(scenes: list[dict[str, Any]], quality: int) -> dict[str, Any]:
+    """Error over RMS of each loss and parameter (median, 95th percentile, share of right signs), cost, forward RMS.
+
+    A derivative that is zero by symmetry (yaw of a cylinder) counts as every other: its error is divided by the
+    RMS over all meshes.
+    """
+    ours = np.stack([scene["ours"][quality] for scene in scenes])
+    truth = np.stack([scene["truth"] for scene in scenes])
+    rms = np.sqrt((truth**2).mean(0))
+    error, clear = np.abs(ours - truth) / rms, np.abs(truth) > 0.2 * rms
+    right = ((np.sign(ours) == np.sign(truth)) & clear).sum(0) / clear.sum(0)
+    forward = [scene["forward"][quality] for scene in scenes if scene["forward"]]
+    return {
+        "median": np.median(error, 0), "p95": np.percentile(error, 95, axis=0), "sign": right, "clear": clear.sum(0),
+        "finite": bool(np.isfinite(ours).all()),
+        "seconds": float(np.median([scene["seconds"][quality] for scene in scenes])),
+        "forward": np.sqrt(np.mean(np.square(forward), 0)) if forward else None,
+        "forward_worst": np.max(forward, 0) if forward else None,
+    }  # fmt: skip
+
+
+# ---------------------------------------------------------------- finite everywhere
+
+
+@jax.jit
+def finite(mesh: Mesh, poses: Any) -> tuple[jax.Array, jax.Array]:
+    """Whether value and all gradients are finite (pose,), and the largest gradient by the pose (pose,).
+
+    Poses (pose, 8) are (x, y, yaw, z, roll, pitch, tilt, height) [m, rad].
+    """
+    weight = jnp.cos(jnp.arange(math.prod(SMALL.shape), dtype=jnp.float32)).reshape(SMALL.shape)
+
+    def value(q: jax.Array, vertices: jax.Array) -> jax.Array:
+        sonar = SMALL.replace(tilt=q[6], height=q[7])
+        out = render_window(mesh.with_vertices(vertices), Pose(*q[:6]), sonar, Window(0, 0, SMALL.shape), 1, 16)
+        return (weight * (100 * out.intensity + out.highlight + 0.5 * out.shadow)).sum()
+
+    def one(q: jax.Array) -> tuple[jax.Array, jax.Array]:
+        found, (by_pose, by_shape) = jax.value_and_grad(value, (0, 1))(q, mesh.vertices)
+        good = jnp.isfinite(found) & jnp.isfinite(by_pose).all() & jnp.isfinite(by_shape).all()
+        return good, jnp.abs(by_pose).max()
+
+    return jax.lax.map(one, poses)
+
+
+def random_poses(rng: np.random.Generator, count: int) -> np.ndarray:
+    """Poses (count, 8); nine of ten kinds are places at which something degenerates."""
+    quarter, kind, q = math.pi / 2, np.arange(count) % 10, np.zeros((count, 8))
+    q[:, :3] = rng.uniform([-1, -1, -7], [4.5, 1, 7], (count, 3))
+    q[:, 6], q[:, 7] = rng.uniform(0.2, 0.5, count), 0.9
+    q[kind == 0, 1] = q[kind == 0, 0] * math.tan(math.radians(14.5))  # half out of view
+    q[kind == 1, 0] = -np.abs(q[kind == 1, 0]) - 0.1  # behind the sonar
+    q[kind == 2, 3] = rng.uniform(-0.3, 0.0, (kind == 2).sum())  # in or below the floor
+    q[kind == 3, 1], q[kind == 3, 2] = 0.0, rng.integers(-4, 5, (kind == 3).sum()) * quarter  # faces edge-on
+    q[kind == 4, :2] = np.round(q[kind == 4, :2], 1)  # round numbers
+    q[kind == 4, 2] = rng.integers(0, 8, (kind == 4).sum()) * quarter / 2
+    q[kind == 5, 3:6] = rng.uniform(-math.pi, math.pi, ((kind == 5).sum(), 3)) * [0.1, 1, 1]  # tumbled
+    q[kind == 6, 4:6] = rng.integers(-2, 3, ((kind == 6).sum(), 2)) * quarter  # on their heads, on their sides
+    q[kind == 7, :2] *= 0.02  # at the foot of the sonar and around its head
+    q[kind == 7, 3] = rng.uniform(0, 1, (kind == 7).sum())
+    q[kind == 8, 6], q[kind == 8, 3] = 0.0, 0.9 - objects.BRICK_M[2]  # a level sonar in the plane of a top face
+    return q
+
+
+def check_poses(settings: Settings) -> dict[str, Any]:
+    """How many poses give NaN or infinity, the first of them, and the share of poses at which the object is seen."""
+    from tqdm import tqdm
+
+    mesh, poses = objects.target(), random_poses(np.random.default_rng(settings.seed), settings.poses)
+    chunk = min(CHUNK, settings.poses)
+    good, largest = [], []
+    for first in tqdm(range(0, len(poses), chunk), desc="poses", unit="chunk"):
+        part = np.resize(poses[first : first + chunk], (chunk, 8))  # the last chunk is filled up: one compilation
+        fine, gradient = (np.asarray(v) for v in finite(mesh, jnp.asarray(part, jnp.float32)))
+        good.append(fine[: len(poses) - first])
+        largest.append(gradient[: len(poses) - first])
+    fine, gradient = np.concatenate(good), np.concatenate(largest)
+    return {
+        "poses": len(poses),
+        "bad": int((~fine).sum()),
+        "first": poses[~fine][:3].tolist(),
+        "seen": float((gradient > 0).mean()),
+        "largest": float(np.max(gradient, where=np.isfinite(gradient), initial=0.0)),
+    }
+
+
+# ---------------------------------------------------------------- report
+
+
+def draw(report: dict[str, Any], folder: Path) -> Path:
+    """Error against cost over the quality knob, as a PNG."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    figure, panels = plt.subplots(1, 2, figsize=(9, 4), layout="constrained", sharey=True)
+    qualities = list(report["qualities"])
+    for loss, axes in enumerate(panels):
+        cost = [1e3 * report["qualities"][q]["seconds"] for q in qualities]
+        for k, parameter in enumerate(PARAMETERS):
+            for key, style in (("median", "o-"), ("p95", "s--")):
+                error = [100 * report["qualities"][q][key][loss, k] for q in qualities]
+                axes.loglog(cost, error, style, color=f"C{k}", label=f"{parameter}, {key}")
+        for q, at in zip(qualities, cost, strict=True):
+            axes.annotate(f"{q}", (at, 1.0), xycoords=("data", "axes fraction"), ha="center", va="bottom", fontsize=8)
+        for key in ("median", "p95"):
+            axes.axhline(100 * BARS[key], color="grey", lw=0.8, ls=":")
+        axes.set(xlabel="both gradients [ms]", title=f"{LOSSES[loss]} (sub_beams above the frame)\n")
+        axes.grid(True, which="both", alpha=0.3)
+    panels[0].set(ylabel="error / RMS derivative [%]")
+    panels[0].legend(fontsize=7)
+    folder.mkdir(parents=True, exist_ok=True)
+    figure.savefig(folder / "quality.png", dpi=150)
+    plt.close(figure)
+    return folder / "quality.png"
+
+
+def run(settings: Settings) -> dict[str, Any]:
+    """Errors, costs and forward convergence for each quality, and the search for values that are not finite."""
+    if settings.smoke:
+        small = {"scenes": 3, "meshes": ("target",), "qualities": (SUB_BEAMS,), "forward": 0}
+        settings = replace(settings, **small, poses=min(settings.poses, 200))
+    scenes = check_scenes(settings)
+    report: dict[str, Any] = {
+        "device": jax.devices()[0].platform,
+        "scenes": len(scenes),
+        "meshes": settings.meshes,
+        "converged": settings.converged,
+        "finer": settings.forward * max(settings.qualities),
+        "qualities": {quality: summary(scenes, quality) for quality in settings.qualities},
+        "poses": check_poses(settings) if settings.poses > 0 else None,
+    }
+    report["figure"] = str(draw(report, Path(settings.out)))
+    return report
+
+
+def verdict(row: dict[str, Any]) -> str:
+    """`bars met`, or which are not."""
+    missed = [key for key in ("median", "p95") if not (row[key] <= BARS[key]).all()]
+    missed += ["sign"] if not (row["sign"] >= BARS["sign"]).all() else []
+    if row["forward_worst"] is not None and (row["forward_worst"] > BARS["forward"]).any():
+        missed.append("forward")
+    missed += [] if row["finite"] else ["finite"]
+    return "MISSED: " + ", ".join(missed) if missed else "bars met"
+
+
+def table(report: dict[str, Any]) -> str:
+    """The report as text: a line for each quality, loss and parameter, then forward convergence and poses."""
+    lines = [
+        f"{report['scenes']} scenes of {', '.join(report['meshes'])}; central differences at sub_beams"
+        f" {report['converged']} ({report['device']}); bars: median 8 %, 95 % 25 %, sign 98 %, forward 3 %",
+        f"{'sub_beams':>9} {'ms':>7}  {'loss':<8} {'by':<4} {'median':>8} {'95 %':>8} {'sign':>8} {'of':>4}",
+    ]
+    for quality, row in report["qualities"].items():
+        for i, loss in enumerate(LOSSES):
+            for k, parameter in enumerate(PARAMETERS):
+                lines.append(
+                    f"{quality:>9} {1e3 * row['seconds']:>7.2f}  {loss:<8} {parameter:<4} {row['median'][i, k]:>8.1%}"
+                    f" {row['p95'][i, k]:>8.1%} {row['sign'][i, k]:>8.1%} {row['clear'][i, k]:>4}"
+                )
+        default = " (refinement's default)" if quality == SUB_BEAMS else ""
+        lines.append(f"{quality:>9}{default}: {verdict(row)}")
+        if row["forward"] is not None:
+            values = [
+                f"{name} {a:.2%} (worst {b:.2%})"
+                for name, a, b in zip(LAYERS, row["forward"], row["forward_worst"], strict=True)
+            ]
+            lines.append(f"{quality:>9} forward RMS against sub_beams {report['finer']}: {', '.join(values)}")
+    if report["poses"]:
+        poses = report["poses"]
+        lines.append(
+            f"{poses['poses']} poses: {poses['bad']} not finite; seen at {poses['seen']:.0%},"
+            f" largest gradient {poses['largest']:.3g}"
+        )
+        lines += [f"  not finite at (x, y, yaw, z, roll, pitch, tilt, height) = {pose}" for pose in poses["first"]]
+    lines.append(f"figure: {report['figure']}")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    print(table(run(parse(Settings, __doc__))))
