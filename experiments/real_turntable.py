@@ -30,8 +30,9 @@ from tqdm import tqdm
 
 import sonarjax as sj
 from sonarjax.io import write_text
-from sonarjax.match import prepare_bank
+from sonarjax.match.ncc import correlation_maps, prepare_bank
 from sonarjax.plot import draw_outline, plot_polar, save_figure
+from sonarjax.render.bank import bank_place
 from sonarjax.render.region import floor_point
 from sonarjax.segment import segment, to_grey
 
@@ -63,7 +64,9 @@ class Settings:
     platform_y: float = _option(0.039, "position to port of the platform's centre [m]")
     mask_radius: float = _option(0.2, "floor farther from the platform's centre is masked [m]; 0 for the file's mask")
     step: float = _option(5.0, "yaw step of the banks at the platform's centre [deg]; must divide 180")
-    min_valid: float = _option(0.3, "share of a known-place window that must be measured; `recognize` has its own")
+    reach: float = _option(
+        0.08, "largest distance of the object from the platform's centre [m]: a 0.24 m pipe on 0.4 m"
+    )
     segmenters: str = _option("none,otsu", "segmenters to run, separated by commas")
     searches: str = _option("recognize,tight crop,fixed window", "searches to run, separated by commas")
     refine: bool = _option(True, "refine the yaw, most of the time on a CPU")
@@ -179,16 +182,21 @@ def at_known_place(data: Data, settings: Settings, segmenter: str, search: str, 
     place = {"x": settings.platform_x, "y": settings.platform_y}
     bank = sj.template_bank(data.mesh, data.sonar, angles, **place, margin=margin, shape=data.sonar.shape)
     prepared = prepare_bank(bank, data.sonar.shape, masked=True)
+    height, width = bank.templates.shape[1:]
+    rows, columns = (np.arange(n - m + 1) for n, m in zip(data.sonar.shape, (height, width), strict=True))
+    places = _moved(data.sonar, bank, rows[:, None] - bank.offset[0], columns[None, :] - bank.offset[1])
+    allowed = np.hypot(places[0] - settings.platform_x, places[1] - settings.platform_y) <= settings.reach
     for image, mask in tqdm(list(zip(data.images, data.masks, strict=True)), desc=f"{search}, {segmenter}"):
         start = time.perf_counter()
         grey = matched_image(image, mask, segmenter, settings.median)
-        match = sj.match_positions(grey, prepared, mask, min_valid=settings.min_valid)
-        scores = np.asarray(match.scores).reshape(2, half).mean(0)  # the two half turns show the same pipe
+        maps = np.where(allowed, np.asarray(correlation_maps(grey, prepared, mask)), -np.inf)
+        flat = maps.reshape(len(maps), -1)
+        scores = flat.max(1).reshape(2, half).mean(0)  # the two half turns show the same pipe
         best = int(scores.argmax())
         yaw = angles[best] + math.pi / half * _vertex(scores, best)
         # The template moved by whole pixels is where refining starts.
-        rows, columns = int(match.row[best]) - bank.offset[0], int(match.col[best]) - bank.offset[1]
-        x, y = _moved(data.sonar, bank, rows, columns)
+        row, column = np.unravel_index(int(flat[best].argmax()), maps.shape[1:])
+        x, y = float(places[0][row, column]), float(places[1][row, column])
         pose = sj.Pose(x, y, yaw)
         if settings.refine:
             refined = jax.tree.map(float, sj.refine_yaw(grey, data.mesh, data.sonar, pose, mask=mask).pose)
@@ -202,15 +210,14 @@ def at_known_place(data: Data, settings: Settings, segmenter: str, search: str, 
     return found
 
 
-def _moved(sonar: sj.Sonar, bank: sj.TemplateBank, rows: int, columns: int) -> tuple[float, float]:
-    """Floor position [m] of a bank's object moved by `rows` and `columns` pixels."""
+def _moved(sonar: sj.Sonar, bank: sj.TemplateBank, rows: np.ndarray, columns: np.ndarray) -> tuple[Any, Any]:
+    """Floor positions (row, column) [m] of a bank's object moved by `rows` and `columns` pixels."""
     centers = np.asarray(sonar.azimuth, np.float64)
-    sine, cosine = math.sin(float(sonar.tilt)), math.cos(float(sonar.tilt))
-    azimuth = math.atan2(bank.y, cosine * bank.x + sine * float(sonar.height))
+    slant, azimuth = bank_place(bank, sonar)
     beam = np.interp(azimuth, centers, np.arange(len(centers))) + columns
-    slant = math.hypot(bank.ground_range, float(sonar.height)) + rows * float(sonar.range_bin)
-    x, y = floor_point(slant, float(np.interp(beam, np.arange(len(centers)), centers)), sonar)
-    return float(x), float(y)
+    moved = np.interp(beam, np.arange(len(centers)), centers)
+    x, y = floor_point(slant + rows * float(sonar.range_bin), moved, sonar)
+    return np.asarray(x), np.asarray(y)
 
 
 def _vertex(scores: np.ndarray, best: int) -> float:
@@ -257,7 +264,7 @@ def run(settings: Settings) -> dict[str, Any]:
             except sj.SonarjaxError as error:
                 report["failures"].append(f"{search}, {segmenter}: {error}")
                 continue
-            _add_rows(report, found, data.truth)
+            _add_rows(report, found, data.truth, settings)
             if settings.sheet > 0 and search in ("recognize", "fixed window"):
                 path = out / f"sheet_{search.replace(' ', '_')}_{segmenter}.png"
                 _draw_sheet(path, data, settings, found)
@@ -279,8 +286,10 @@ def _methods(data: Data, settings: Settings, segmenter: str) -> dict[str, Callab
     return {name: methods[name] for name in settings.searches.split(",")}
 
 
-def _add_rows(report: dict[str, Any], found: Found, truth: np.ndarray) -> None:
+def _add_rows(report: dict[str, Any], found: Found, truth: np.ndarray, settings: Settings) -> None:
     warm = found.seconds[min(5, len(found.seconds) // 2) :]
+    places = np.array([[float(pose.x), float(pose.y)] for pose in found.poses])
+    off = np.hypot(*(places - [settings.platform_x, settings.platform_y]).T) > settings.reach + 1e-3
     for reading, yaws in found.yaws.items():
         error, offset = errors_deg(np.array(yaws), truth)
         report["rows"].append(
@@ -291,6 +300,7 @@ def _add_rows(report: dict[str, Any], found: Found, truth: np.ndarray) -> None:
                 "median_deg": float(np.median(np.abs(error))),
                 "p90_deg": float(np.percentile(np.abs(error), 90)),
                 "offset_deg": offset,
+                "off_platform": float(off.mean()),
                 "two_hypotheses": float(np.mean(found.partner)),
                 "frames_per_second": 1.0 / float(np.median(warm)),
                 "seconds_in_all": float(np.sum(found.seconds)),
@@ -300,7 +310,7 @@ def _add_rows(report: dict[str, Any], found: Found, truth: np.ndarray) -> None:
         report["per_frame"][key] = {
             "hypotheses_deg": [[math.degrees(y) % 180, math.degrees(y) % 180 + 180] for y in yaws],
             "error_deg": error.tolist(),
-            "place_m": [[float(pose.x), float(pose.y)] for pose in found.poses],
+            "place_m": places.tolist(),
         }
 
 
@@ -308,22 +318,26 @@ def table(report: dict[str, Any]) -> str:
     """The report as text: one line for each segmenter, search and reading of the yaw, then the baselines."""
     lines = [
         f"{report['frames']} frames, error of yaw modulo 180° after one constant offset [deg]   ({report['device']})",
-        f"{'segmenter':<10}{'search':<14}{'yaw':<15}{'median':>7}{'90 %':>7}{'offset':>8}{'both halves':>12}"
-        f"{'frames/s':>10}",
+        f"{'segmenter':<10}{'search':<14}{'yaw':<15}{'median':>7}{'90 %':>7}{'offset':>8}{'off place':>10}"
+        f"{'both halves':>12}{'frames/s':>10}",
     ]
     for row in report["rows"]:
         lines.append(
             f"{row['segmenter']:<10}{row['search']:<14}{row['yaw']:<15}{row['median_deg']:>7.1f}{row['p90_deg']:>7.1f}"
-            f"{row['offset_deg']:>8.1f}{row['two_hypotheses']:>12.0%}{row['frames_per_second']:>10.1f}"
+            f"{row['offset_deg']:>8.1f}{row['off_platform']:>10.0%}"
+            f"{row['two_hypotheses']:>12.0%}{row['frames_per_second']:>10.1f}"
         )
     for segmenter, windows in BASELINES.items():
         for window, (middle, high) in windows.items():
             lines.append(f"{segmenter:<10}{window:<14}{'plain method':<15}{middle:>7.1f}{high:>7.1f}   (data's README)")
     lines.append(f"{'aim':<39}{AIM[0]:>7.1f}{AIM[1]:>7.1f}")
     lines.append(
-        "both halves: frames whose half-turned yaw was found as a hypothesis too (a bank at the known place is"
+        "off place: frames whose target was found farther from the platform's centre than --reach. both halves:"
     )
-    lines.append("folded to half a turn, so it always gives both). frames/s: refinement included, compilation not.")
+    lines.append(
+        "frames whose half-turned yaw is a hypothesis too (a bank at the known place is folded to half a turn, so"
+    )
+    lines.append("always). frames/s: refinement included where there is one, compilation not.")
     lines += [f"failed: {line}" for line in report["failures"]]
     lines += [f"picture: {path}" for path in report.get("sheets", [])]
     return "\n".join(lines)

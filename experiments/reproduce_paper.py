@@ -55,7 +55,9 @@ def run(settings: Settings) -> dict[str, Any]:
     for name in settings.segmenters.split(","):
         results = []
         for frame in tqdm(frames, desc=f"recognize, {name}", unit="frame"):
-            results.append(sj.recognize(frame.image, target, sonars[frame.tilt_deg], segmenter=name))
+            # Yaw is judged on the target alone, so only its frames are refined.
+            sonar = sonars[frame.tilt_deg]
+            results.append(sj.recognize(frame.image, target, sonar, segmenter=name, refine=frame.is_target))
         rows.append(_row(name, frames, results))
         examples.append((name, frames[0], results[0], sonars[frames[0].tilt_deg]))
     folder = Path(settings.out)
@@ -140,7 +142,9 @@ def _page(report: dict[str, Any], figures: list[Path]) -> str:
     facts = html.escape(json.dumps({k: report[k] for k in ("settings", "versions", "seconds")}, indent=1))
     rows = [line.strip("|").split("|") for line in table(report).splitlines() if "---" not in line]
     cells = "".join("<tr>" + "".join(f"<td>{html.escape(c.strip())}</td>" for c in row) + "</tr>" for row in rows)
-    style = "body{font:16px sans-serif;max-width:70em;margin:2em auto}td{padding:.2em .8em;border-bottom:1px solid #ccc}"
+    style = (
+        "body{font:16px sans-serif;max-width:70em;margin:2em auto}td{padding:.2em .8em;border-bottom:1px solid #ccc}"
+    )
     return (
         f"<!doctype html><meta charset=utf-8><title>sonarjax: §4.1, simulated</title><style>{style}</style>"
         "<h1>The 288 frames of §4.1, simulated</h1><p>Simulated frames with plain speckle; the paper reports 0.9201 "

@@ -20,7 +20,7 @@ from sonarjax.sonar import Sonar
 YAW_BINS = 36
 COARSE_EVERY = 3  # the search over distance uses every third bank and every second yaw
 RANGE_STEP_M = 0.1  # templates 0.3 m off in distance lose 10 points of accuracy
-HYPOTHESES = 3
+HYPOTHESES = 2
 SAME_YAW = math.radians(8.0)  # refined hypotheses closer than this are one
 THRESHOLDS = {"none": 0.555, "otsu": 0.618}
 """Least score of an identified target, for each segmenter; validation frames of experiments/fit_threshold.py."""

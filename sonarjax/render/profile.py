@@ -134,7 +134,8 @@ def _extreme(value: Float[Array, "slab piece"], chain: Bool[Array, "slab piece i
         best = jnp.where(chain, key[..., None], 0).max(axis=1)
     else:
         best = jnp.where(chain, key[..., None], jnp.iinfo(jnp.int32).max).min(axis=1)
-    return best & ((1 << bits) - 1)
+    # An empty chain has no piece: any index inside the array will do, where one outside would read NaN.
+    return jnp.minimum(best & ((1 << bits) - 1), value.shape[1] - 1)
 
 
 def _ends(
