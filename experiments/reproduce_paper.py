@@ -1,4 +1,4 @@
-"""The main job (`make reproduce`): recognize the 288 simulated frames of §4.1 and print accuracy, yaw error and time."""
+"""The main job (`make reproduce`): recognize the 288 simulated frames of §4.1; accuracy, yaw error and time."""
 
 from __future__ import annotations
 
@@ -142,9 +142,7 @@ def _page(report: dict[str, Any], figures: list[Path]) -> str:
     facts = html.escape(json.dumps({k: report[k] for k in ("settings", "versions", "seconds")}, indent=1))
     rows = [line.strip("|").split("|") for line in table(report).splitlines() if "---" not in line]
     cells = "".join("<tr>" + "".join(f"<td>{html.escape(c.strip())}</td>" for c in row) + "</tr>" for row in rows)
-    style = (
-        "body{font:16px sans-serif;max-width:70em;margin:2em auto}td{padding:.2em .8em;border-bottom:1px solid #ccc}"
-    )
+    style = "body{font:16px sans-serif;max-width:70em;margin:2em auto}td{padding:.2em .8em}"
     return (
         f"<!doctype html><meta charset=utf-8><title>sonarjax: §4.1, simulated</title><style>{style}</style>"
         "<h1>The 288 frames of §4.1, simulated</h1><p>Simulated frames with plain speckle; the paper reports 0.9201 "
