@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+SHARED_LIMIT = 24  # up to this many triangles that look at the sonar, all slices share one list of them
 DENSE_LIMIT = 256  # up to this many triangles, every (slice, triangle) pair is tested
 
 
@@ -25,26 +26,33 @@ def candidates(
     faces: Int[Array, "face 3"],
     seen: Bool[Array, "face"],
     azimuth: Float[Array, "slab"],
-    limit: int,
-) -> Int[Array, "slab candidate"]:
-    """Triangle ids (slab, limit) that the half-plane at each `azimuth` [rad] cuts; -1 fills what is left over.
+    crossings: int,
+    front: int,
+) -> Int[Array, "slab_or_1 candidate"]:
+    """Triangle ids (slab, candidate) that the half-plane at each `azimuth` [rad] may cut; -1 fills what is left over.
 
-    `limit` is `Mesh.crossings`, an upper bound. Vertices (vertex, 3) [m] are in the sonar frame.
+    `crossings` and `front` are the mesh's upper bounds. Where few triangles look at the sonar at all, one list (1,
+    front) of them serves every slab. Vertices (vertex, 3) [m] are in the sonar frame.
     """
+    if front <= max(SHARED_LIMIT, crossings):
+        return _compacted(seen[None], front)
     if len(faces) <= DENSE_LIMIT:
-        return _dense(vertices, faces, seen, azimuth, limit)
-    return _sparse(vertices, faces, seen, azimuth, limit)
+        return _compacted(seen & _cut(vertices, faces, azimuth), crossings)
+    return _sparse(vertices, faces, seen, azimuth, crossings)
 
 
-def _dense(vertices: Array, faces: Array, seen: Array, azimuth: Array, limit: int) -> Array:
+def _cut(vertices: Array, faces: Array, azimuth: Array) -> Bool[Array, "slab face"]:
     c, s = jnp.cos(azimuth)[:, None], jnp.sin(azimuth)[:, None]
     port = c * vertices[:, 1] - s * vertices[:, 0] > 0  # (slab, vertex)
-    a, b, c = (port[:, faces[:, k]] for k in range(3))
-    cut = seen & ((a != b) | (b != c))  # (slab, face)
-    rank = jnp.cumsum(cut, axis=1) - 1
-    slot = cut[:, None, :] & (rank[:, None, :] == jnp.arange(limit)[:, None])  # (slab, candidate, face)
-    ids = jnp.arange(1, len(faces) + 1)
-    return (slot * ids).sum(-1) - 1
+    first, second, third = (port[:, faces[:, k]] for k in range(3))
+    return (first != second) | (second != third)
+
+
+def _compacted(wanted: Bool[Array, "slab face"], limit: int) -> Int[Array, "slab candidate"]:
+    """Numbers of the wanted faces, in order."""
+    rank = jnp.cumsum(wanted, axis=1) - 1
+    slot = wanted[:, None, :] & (rank[:, None, :] == jnp.arange(limit)[:, None])  # (slab, candidate, face)
+    return (slot * jnp.arange(1, wanted.shape[1] + 1)).sum(-1) - 1
 
 
 def _sparse(vertices: Array, faces: Array, seen: Array, azimuth: Array, limit: int) -> Array:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sonarjax.render.profile import Ends, Scene, corners_of, floor_line, piece_range, trace_tau
 from sonarjax.render.segments import plane_line
-from sonarjax.render.slices import GAUSS, Slabs
+from sonarjax.render.slices import Slabs
 from sonarjax.sonar import Sonar
 
 USUAL_PIECES = 16  # of all the pieces that a slice might hold, about this many are seen
@@ -35,28 +36,34 @@ def object_energy(
     """
     pieces = ends.tau.shape[1] // 2
     cells = max(1, math.ceil(elevations / min(pieces, USUAL_PIECES)))
-    nodes = slabs.middle + GAUSS * slabs.width * jnp.array([[-1.0], [1.0]])
-    distance, tau, cosine = _cells(ends, nodes, scene, cells)  # (node, slab, piece, cell end)
-    moved = jnp.abs(distance[1] - distance[0]) / (8 * GAUSS)
+
+    def cell_ends(azimuth: Float[Array, "slab"]) -> tuple[Array, tuple[Array, ...]]:
+        distance, *others = _cells(ends, azimuth, scene, cells)
+        return distance, tuple(others)
+
+    along = (slabs.middle,), (jnp.ones_like(slabs.middle),)
+    distance, slope, (tau, cosine, nearest, farthest) = jax.jvp(cell_ends, *along, has_aux=True)  # (slab, piece, cell end)
+    moved = jnp.abs(slope) * (slabs.width / 4)[:, None, None]
     widen = (moved[..., 1:] + moved[..., :-1]) / 2
-    near = jnp.minimum(distance[..., 1:], distance[..., :-1]) - widen
-    far = jnp.maximum(distance[..., 1:], distance[..., :-1]) + widen
+    # A facet that is seen edge-on moves fast in range, but not beyond its own corners.
+    near = jnp.maximum(jnp.minimum(distance[..., 1:], distance[..., :-1]) - widen, nearest)
+    far = jnp.minimum(jnp.maximum(distance[..., 1:], distance[..., :-1]) + widen, farthest)
     angle = jnp.diff(jnp.arctan(tau), axis=-1)
-    energy = angle * strength((near + far) / 2, (cosine[..., 1:] + cosine[..., :-1]) / 2, sonar) / 2
+    energy = angle * strength((near + far) / 2, (cosine[..., 1:] + cosine[..., :-1]) / 2, sonar)
     energy = jnp.where(ends.surface[:, :pieces, None] >= 0, energy, 0.0)
 
-    def by_slab(values: Array) -> Array:  # (node, slab, piece, cell) -> (slab, everything)
-        return jnp.moveaxis(values, 0, 1).reshape(values.shape[1], -1)
-
-    return _spread(by_slab(energy), by_slab(near), by_slab(far), edges)
+    return _spread(*(v.reshape(len(v), -1) for v in (energy, near, far)), edges)
 
 
-def _cells(ends: Ends, azimuth: Float[Array, "node slab"], scene: Scene, cells: int) -> tuple[Array, Array, Array]:
-    """Range [m], elevation tangent and cos(incidence) (node, slab, piece, cell end) at `azimuth` [rad]."""
+def _cells(ends: Ends, azimuth: Float[Array, "slab"], scene: Scene, cells: int) -> tuple[Array, ...]:
+    """Range [m], elevation tangent and cos(incidence) (slab, piece, cell end) at `azimuth` [rad].
+
+    Then the nearest and the farthest range [m] that each cell's facet reaches (slab, piece, cell).
+    """
     theta = azimuth[..., None]
     corners = corners_of(scene, ends.surface)
     line = jnp.stack(plane_line(corners, theta), -1)
-    low, high = jnp.split(trace_tau(ends, theta, scene, (line[..., 0], line[..., 1])), 2, axis=-1)
+    low, high = jnp.split(trace_tau(ends, theta, scene, (line[..., 0], line[..., 1]))[0], 2, axis=-1)
     share = jnp.linspace(0.0, 1.0, cells + 1)
     tau = low[..., None] + jnp.maximum(high - low, 0.0)[..., None] * share
     pieces = low.shape[-1]
@@ -66,7 +73,14 @@ def _cells(ends: Ends, azimuth: Float[Array, "node slab"], scene: Scene, cells: 
     normal = normal / jnp.sqrt((normal**2).sum(-1, keepdims=True) + 1e-24)
     lateral = normal[..., 0] * jnp.cos(theta) + normal[..., 1] * jnp.sin(theta)
     cosine = jnp.abs(lateral[..., None] + normal[..., 2, None] * tau) / jnp.sqrt(1 + tau * tau)
-    return distance, tau, cosine
+    reach = jnp.cos(theta)[..., None] * corners[..., 0] + jnp.sin(theta)[..., None] * corners[..., 1]  # planar range
+    slant = jnp.sqrt(1 + tau * tau)
+    nearest, farthest = (v[..., None] * slant for v in (reach.min(-1), reach.max(-1)))
+    nearest, farthest = (
+        jnp.minimum(nearest[..., 1:], nearest[..., :-1]),
+        jnp.maximum(farthest[..., 1:], farthest[..., :-1]),
+    )
+    return distance, tau, cosine, nearest, jnp.maximum(farthest, nearest)
 
 
 def _spread(energy: Array, near: Array, far: Array, edges: Float[Array, "edge"]) -> Float[Array, "slab range"]:

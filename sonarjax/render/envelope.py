@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from sonarjax.render.segments import CROSSING, EDGE, FIXED, Segments
 
 INSET = 0.02  # winners are asked this share of an interval inside its ends, where neighbours that touch do not tie
+TOUCH = 1e-6  # segments whose ends in elevation are closer than this touch: float32 computes a shared edge twice
 EXACT_LIMIT = 32  # above this many candidates a slice is sampled in elevation instead
 
 
@@ -30,14 +32,14 @@ class Pieces(NamedTuple):
     """EDGE where the candidate's segment ends there, CROSSING where the two surfaces cross, FIXED for neither."""
 
 
-def visible_pieces(segments: Segments, elevations: int) -> Pieces:
-    """Visible pieces of each slice from its candidates' segments (slab, candidate).
+def visible_pieces(segments: Segments, crossing: bool, elevations: int) -> Pieces:
+    """Visible pieces of each slice from its candidates' segments (slab, candidate), which may be `crossing` each other.
 
     Exact for up to EXACT_LIMIT candidates a slice (then `elevations` plays no part); else the nearest triangle is
     sampled at `elevations` directions that span the slice's object.
     """
     if segments.hit.shape[1] <= EXACT_LIMIT:
-        return _exact(segments)
+        return _exact_crossing(segments) if crossing else _exact(segments)
     return _sampled(segments, elevations)
 
 
@@ -45,26 +47,46 @@ def _nearest(segments: Segments, tau: Float[Array, "slab point"]) -> Int[Array, 
     """The candidate with the largest 1/range at each elevation tangent, -1 where there is none.
 
     One integer maximum finds it: the candidate's number replaces the lowest bits of 1/range. Those bits are worth
-    1/2¹³ of the range at 1,024 candidates and 1/2¹⁹ at 16, below any sonar's resolution.
+    1/2¹³ of the range at 1,024 candidates and 1/2¹⁹ at 16, below any sonar's resolution. A loop over candidates keeps
+    XLA from computing the segments anew at every point (it would fuse them into the comparison).
     """
     count = segments.hit.shape[1]
     bits = (count - 1).bit_length()
-    low, high = segments.tau[..., 0], segments.tau[..., 1]
-    t = tau[:, :, None]
-    s = segments.line[:, None, :, 0] + segments.line[:, None, :, 1] * t
-    active = segments.hit[:, None] & (t >= low[:, None]) & (t <= high[:, None]) & (s > 0)
-    as_int = jnp.asarray(jnp.maximum(s, 0.0), jnp.float32).view(jnp.int32)
-    key = jnp.where(active, ((as_int >> bits) << bits) | jnp.arange(count), -1).max(axis=-1)
+    low = jnp.where(segments.hit, segments.tau[..., 0] - TOUCH, jnp.inf)
+    columns = (jnp.arange(count), *(v.T for v in (low, segments.tau[..., 1] + TOUCH, *jnp.moveaxis(segments.line, -1, 0))))
+
+    def closer(best: Array, candidate: tuple[Array, ...]) -> tuple[Array, None]:
+        number, low, high, a, b = candidate
+        s = a[:, None] + b[:, None] * tau
+        key = ((s.view(jnp.int32) >> bits) << bits) | number
+        active = (tau >= low[:, None]) & (tau <= high[:, None]) & (s > 0)
+        return jnp.where(active, jnp.maximum(best, key), best), None
+
+    key, _ = jax.lax.scan(closer, jnp.full(tau.shape, -1, jnp.int32), columns)
     return jnp.where(key < 0, -1, key & ((1 << bits) - 1))
 
 
-def _exact(segments: Segments) -> Pieces:
+def _intervals(segments: Segments) -> tuple[Array, Array, Array]:
+    """The segments' ends in ascending order (slab, end), and the elevations [low, high] between neighbours."""
     slabs, count = segments.hit.shape
     ends = jnp.where(segments.hit[..., None], segments.tau, jnp.inf).reshape(slabs, 2 * count)
     order = _sorted_order(ends)
-    bound = jnp.take_along_axis(ends, order, axis=1)  # (slab, 2 count), ascending, inf at the end
-    low = jnp.where(jnp.isfinite(bound[:, :-1]), bound[:, :-1], 0.0)
-    high = jnp.where(jnp.isfinite(bound[:, 1:]), bound[:, 1:], low)
+    bound = jnp.take_along_axis(ends, order, axis=1)  # inf at the end
+    # What is left over lies above every segment, so that nothing is found there.
+    bound = jnp.where(jnp.isfinite(bound), bound, 1e3)
+    return order, bound[:, :-1], bound[:, 1:]
+
+
+def _exact(segments: Segments) -> Pieces:
+    order, low, high = _intervals(segments)
+    how = jnp.full((*low.shape, 2), EDGE)
+    winner = _nearest(segments, (low + high) / 2)
+    return Pieces(winner, jnp.stack([low, high], -1), jnp.stack([order[:, :-1], order[:, 1:]], -1), how)
+
+
+def _exact_crossing(segments: Segments) -> Pieces:
+    """As `_exact`, but two surfaces may change places between two ends: each interval has two halves."""
+    order, low, high = _intervals(segments)
     inset = INSET * (high - low)
     asked = jnp.concatenate([low + inset, high - inset], axis=1)
     lower, upper = jnp.split(_nearest(segments, asked), 2, axis=1)  # winners just inside both ends
@@ -75,10 +97,10 @@ def _exact(segments: Segments) -> Pieces:
 
     def interleave(first: tuple[Array, Array], second: tuple[Array, Array]) -> Array:
         halves = jnp.stack([jnp.stack(first, axis=-1), jnp.stack(second, axis=-1)], axis=2)
-        return halves.reshape(slabs, -1, 2)
+        return halves.reshape(len(low), -1, 2)
 
     return Pieces(
-        winner=jnp.stack([lower, upper], axis=2).reshape(slabs, -1),
+        winner=jnp.stack([lower, upper], axis=2).reshape(len(low), -1),
         tau=interleave((low, crossing), (crossing, high)),
         end=interleave(
             (order[:, :-1], jnp.where(meets, 2 * upper, order[:, 1:])),
@@ -100,7 +122,7 @@ def _crossing_tau(segments: Segments, i: Array, j: Array, low: Array, high: Arra
     """Where the lines of candidates i and j meet, kept inside [low, high]; `high` where i is j."""
     a_i, b_i = (jnp.take_along_axis(segments.line[..., k], jnp.maximum(i, 0), axis=1) for k in (0, 1))
     a_j, b_j = (jnp.take_along_axis(segments.line[..., k], jnp.maximum(j, 0), axis=1) for k in (0, 1))
-    differs = (i != j) & (jnp.abs(b_i - b_j) > 1e-9)
+    differs = (i != j) & (i >= 0) & (j >= 0) & (jnp.abs(b_i - b_j) > 1e-9)
     tau = (a_j - a_i) / jnp.where(differs, b_i - b_j, 1.0)
     return jnp.where(differs, jnp.clip(tau, low, high), high)
 

@@ -6,24 +6,19 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from sonarjax.render.slices import GAUSS
-
-
-def swept(at_nodes: Float[Array, "2 slab item"]) -> tuple[Float[Array, "slab item"], Float[Array, "slab item"]]:
-    """Middle and half-sweep of an end over its slab, from its values at the two Gauss nodes (linear in azimuth)."""
-    return (at_nodes[0] + at_nodes[1]) / 2, (at_nodes[1] - at_nodes[0]) * (0.25 / GAUSS)
-
 
 def covered(
-    near: tuple[Array, Array], far: tuple[Array, Array], present: Bool[Array, "slab item"], edges: Float[Array, "edge"]
+    middle: Float[Array, "slab 2 item"], half: Float[Array, "slab 2 item"], present: Bool[Array, "slab item"], rows: int
 ) -> Float[Array, "slab range"]:
-    """Sum over items of the share of each bin that [near, far] covers; each end is (middle, half-sweep) in bins.
+    """Share (slab, `rows`) of each range bin that the items' intervals cover, at most 1.
 
-    `edges` (edge,) are the bins' edges in bins, `present` says which items count. Exact for ends that move linearly
+    `middle` [bins] are the near and far ends of each interval in the middle of the slab, `half` [bins] how far they
+    move from there to its edges; `present` says which items count. Exact for one interval whose ends move linearly
     across the slab: the mean of the clipped overlap over the sweep.
     """
-    ramps = ramp(near[0], near[1], edges) - ramp(far[0], far[1], edges)
-    return jnp.diff(jnp.where(present[..., None], ramps, 0.0).sum(axis=1), axis=-1)
+    edges = jnp.arange(rows + 1, dtype=jnp.float32)
+    ramps = ramp(middle[:, 0], half[:, 0], edges) - ramp(middle[:, 1], half[:, 1], edges)
+    return jnp.clip(jnp.diff(jnp.where(present[..., None], ramps, 0.0).sum(axis=1), axis=-1), 0.0, 1.0)
 
 
 @jax.custom_jvp

@@ -73,48 +73,55 @@ def piece_range(line: Float[Array, "*#batch 2"], tau: Float[Array, "*#batch"]) -
 
 
 def find_outline(
-    pieces: Pieces, segments: Segments, table: Int[Array, "slab candidate"], lit: Bool[Array, "slab piece"], items: int
+    pieces: Pieces,
+    segments: Segments,
+    table: Int[Array, "slab_or_1 candidate"],
+    lit: Bool[Array, "slab piece"],
+    items: int,
 ) -> Outline:
     """Chains of visible pieces; `table` holds the candidates' triangle ids, `lit` the pieces that give highlight."""
-    real = pieces.tau[..., 1] - pieces.tau[..., 0] > EMPTY_TAU
-    solid = real & (pieces.winner >= 0)
+    solid = pieces.winner >= 0
     line = _of_candidate(segments.line, pieces.winner)
     start, end = (piece_range(line, pieces.tau[..., k]) for k in (0, 1))
-    before = _previous(real)
-    end_before = jnp.take_along_axis(end, jnp.maximum(before, 0), axis=1)
-    touching = (before >= 0) & jnp.take_along_axis(solid, jnp.maximum(before, 0), axis=1)
-    same_range = jnp.abs(end_before - start) < GAP * start
-    lit_before = jnp.take_along_axis(lit, jnp.maximum(before, 0), axis=1)
+    same_range = jnp.abs(_previous(end) - start) < GAP * start
     shown = solid & lit
-    run = _chain(shown, shown & ~(touching & same_range & lit_before), items)
-    stretch = _chain(solid, solid & ~touching, items)
+    run = _chain(shown, shown & ~(_previous(shown) & same_range), items)
+    stretch = _chain(solid, solid & ~_previous(solid), items)
     foot_tau = line[..., 1] / jnp.maximum(line[..., 0], 1e-9)
     foot = (foot_tau > pieces.tau[..., 0]) & (foot_tau < pieces.tau[..., 1])
     foot_range = jnp.where(foot, jax.lax.rsqrt((line**2).sum(-1) + 1e-12), jnp.inf)
     nearest = jnp.minimum(jnp.minimum(start, end), foot_range)
-    number = jnp.arange(real.shape[1])
+    number = jnp.arange(solid.shape[1])
     near, far = _extreme(nearest, run, -1), _extreme(jnp.maximum(start, end), run, 1)
     lower = jnp.where(stretch, number[:, None], len(number) - 1).min(axis=1)
     upper = jnp.where(stretch, number[:, None], 0).max(axis=1)
-    piece = jnp.concatenate([near, far, lower, upper], axis=1)
-    at_start, at_end, at_foot = (jnp.take_along_axis(v, piece, axis=1) for v in (start, end, foot_range))
-    role = jnp.repeat(jnp.arange(4), items)
-    nearer_end = at_end < at_start
-    upper_end = jnp.where(role == 0, nearer_end, jnp.where(role == 1, ~nearer_end, role == 3))
-    at_foot = (role == 0) & (at_foot < jnp.minimum(at_start, at_end))
+    at_end = jnp.take_along_axis(end - start, jnp.concatenate([near, far], axis=1), axis=1)
+    at_foot = jnp.take_along_axis(foot_range < jnp.minimum(start, end), near, axis=1)
+    upper_end = jnp.concatenate([at_end[:, :items] < 0, at_end[:, items:] > 0], axis=1)
     runs, stretches = run.any(axis=1), stretch.any(axis=1)
-    exists = jnp.concatenate([runs, runs, stretches, stretches], axis=1)
-    return Outline(_ends(pieces, segments, table, piece, upper_end, exists, at_foot), runs, stretches)
+    no = jnp.zeros_like(runs)
+    return Outline(
+        _ends(
+            pieces,
+            segments,
+            table,
+            piece=jnp.concatenate([near, far, lower, upper], axis=1),
+            upper_end=jnp.concatenate([upper_end, no, ~no], axis=1),
+            exists=jnp.concatenate([runs, runs, stretches, stretches], axis=1),
+            foot=jnp.concatenate([at_foot, no, no, no], axis=1),
+        ),
+        runs,
+        stretches,
+    )
 
 
 def _of_candidate(values: Float[Array, "slab candidate 2"], index: Int[Array, "slab piece"]) -> Array:
     return jnp.take_along_axis(values, jnp.maximum(index, 0)[..., None], axis=1)
 
 
-def _previous(real: Bool[Array, "slab piece"]) -> Int[Array, "slab piece"]:
-    """Number of the last real piece before each piece, -1 for none."""
-    last = jax.lax.cummax(jnp.where(real, jnp.arange(real.shape[1]), -1), axis=1)
-    return jnp.concatenate([jnp.full((len(real), 1), -1), last[:, :-1]], axis=1)
+def _previous(values: Array) -> Array:
+    """Each piece's lower neighbour's value (slab, piece); zero or False for the first."""
+    return jnp.pad(values[:, :-1], ((0, 0), (1, 0)))
 
 
 def _chain(member: Bool[Array, "slab piece"], starts: Bool[Array, "slab piece"], items: int) -> Array:
@@ -139,23 +146,23 @@ def _extreme(value: Float[Array, "slab piece"], chain: Bool[Array, "slab piece i
 
 
 def _ends(
-    pieces: Pieces, segments: Segments, table: Array, piece: Array, upper_end: Array, any_item: Array, foot: Array
+    pieces: Pieces, segments: Segments, table: Array, piece: Array, upper_end: Array, exists: Array, foot: Array
 ) -> Ends:
-    def at(values: Array) -> Array:
-        low, high = (jnp.take_along_axis(values[..., k], piece, axis=1) for k in (0, 1))
-        return jnp.where(upper_end, high, low)
+    slabs = len(piece)
 
-    winner = jnp.take_along_axis(pieces.winner, piece, axis=1)
-    end, how = jnp.maximum(at(pieces.end), 0), at(pieces.how)
-    slabs = len(end)
-    kind = jnp.take_along_axis(segments.kind.reshape(slabs, -1), end, axis=1)
-    edge = jnp.take_along_axis(segments.edge.reshape(slabs, -1), end, axis=1)
-    surface = jnp.where(any_item, jnp.take_along_axis(table, jnp.maximum(winner, 0), axis=1), -1)
-    source = jnp.take_along_axis(table, end // 2, axis=1)
-    return Ends(surface, source, jnp.where(how == EDGE, kind, how), edge, at(pieces.tau), foot)
+    def take(values: Array, index: Array) -> Array:
+        values = jnp.broadcast_to(values, (slabs, *values.shape[1:]))
+        return jnp.take_along_axis(values.reshape(slabs, -1), index, axis=1)
+
+    side = 2 * piece + upper_end
+    end, how, tau = take(pieces.end, side), take(pieces.how, side), take(pieces.tau, side)
+    end = jnp.maximum(end, 0)
+    surface = take(table, jnp.maximum(take(pieces.winner, piece), 0))
+    kind = jnp.where(how == EDGE, take(segments.kind, end), how)
+    return Ends(jnp.where(exists, surface, -1), take(table, end // 2), kind, take(segments.edge, end), tau, foot)
 
 
-def all_ends(pieces: Pieces, segments: Segments, table: Int[Array, "slab candidate"]) -> Ends:
+def all_ends(pieces: Pieces, segments: Segments, table: Int[Array, "slab_or_1 candidate"]) -> Ends:
     """The ends (slab, 2 × piece) of every visible piece, all lower ones first, for the energy integral."""
     piece = jnp.broadcast_to(jnp.arange(pieces.winner.shape[1]), pieces.winner.shape)
     solid = (pieces.winner >= 0) & (pieces.tau[..., 1] - pieces.tau[..., 0] > EMPTY_TAU)
@@ -187,9 +194,12 @@ def floor_line(azimuth: Float[Array, "*batch"], view: View) -> tuple[Array, Arra
 
 
 def trace_tau(
-    ends: Ends, azimuth: Float[Array, "node slab 1"], scene: Scene, surface: tuple[Array, Array]
-) -> Float[Array, "node slab item"]:
-    """Elevation tangent of each end at other azimuths [rad] of its slab; `surface` is the line (a, b) there."""
+    ends: Ends, azimuth: Float[Array, "slab 1"], scene: Scene, surface: tuple[Array, Array]
+) -> tuple[Float[Array, "slab item"], Float[Array, "slab item"]]:
+    """Elevation tangent of each end, as a function of `azimuth` [rad], and the slant range [m] of its source's edge.
+
+    `surface` is the line (a, b) of the surface at the end.
+    """
     corners = corners_of(scene, ends.source)
     first = _corner(corners, ends.edge)
     second = _corner(corners, (ends.edge + 1) % 3)
@@ -201,12 +211,10 @@ def trace_tau(
     slope = b - other_b
     meets = (at_floor | (ends.kind == CROSSING)) & (jnp.abs(slope) > 1e-6)
     crossing = (other_a - a) / jnp.where(meets, slope, 1.0)
-    # A crossing that runs away inside its own slab is an extrapolation gone wrong: the middle is better.
-    meets = meets & (jnp.abs(jax.lax.stop_gradient(crossing) - ends.tau) < 0.1)
     view = scene.view
     tau = jnp.where(ends.kind == EDGE, z / jnp.maximum(rho, 1e-3), ends.tau)
     tau = jnp.where(ends.kind == TAU_MIN, view.tau_min, jnp.where(ends.kind == TAU_MAX, view.tau_max, tau))
-    return jnp.where(meets, crossing, tau)
+    return jnp.where(meets, crossing, tau), jnp.sqrt(rho * rho + z * z + 1e-12)
 
 
 def _corner(corners: Float[Array, "*batch 3 3"], index: Int[Array, "*batch"]) -> Float[Array, "*batch 3"]:
@@ -214,18 +222,16 @@ def _corner(corners: Float[Array, "*batch 3 3"], index: Int[Array, "*batch"]) ->
     return jnp.where(i == 0, corners[..., 0, :], jnp.where(i == 1, corners[..., 1, :], corners[..., 2, :]))
 
 
-def trace_ranges(
-    outline: Outline, azimuth: Float[Array, "node slab"], scene: Scene
-) -> Float[Array, "node slab four item"]:
-    """Slant ranges [m] of an outline's ends at azimuths [rad]: runs' near and far points, floor behind stretches' ends.
+def trace_ranges(outline: Outline, azimuth: Float[Array, "slab"], scene: Scene) -> Float[Array, "slab four item"]:
+    """Slant ranges [m] of an outline's ends at `azimuth` [rad]: runs' near and far points, floor behind stretches' ends.
 
-    The floor at and above the horizon is very far.
+    The floor at and above the horizon is very far. Differentiable in `azimuth` too, at the middle of the slabs.
     """
-    theta = azimuth[..., None]
+    theta = azimuth[:, None]
     ends = outline.ends
     corners = corners_of(scene, ends.surface)
     surface = plane_line(corners, theta)
-    tau = trace_tau(ends, theta, scene, surface)
+    tau, edge_range = trace_tau(ends, theta, scene, surface)
     half = ends.tau.shape[1] // 2
     on_object = jnp.arange(2 * half) < half
     line = [jnp.where(on_object, o, f) for o, f in zip(surface, floor_line(theta, scene.view), strict=True)]
@@ -237,7 +243,10 @@ def trace_ranges(
     s = jnp.where(on_object, jnp.clip(s, 1 / farthest, 1 / nearest), jnp.maximum(s, HORIZON))
     foot = jnp.maximum(jax.lax.rsqrt(surface[0] ** 2 + surface[1] ** 2 + 1e-12), nearest)
     ranges = jnp.where(ends.foot, foot, jnp.sqrt(1 + tau * tau) / s)
-    return ranges.reshape(*azimuth.shape, 4, half // 2)
+    # Where a facet ends at its own edge that edge's range is exact, and stays so for one that is seen edge-on.
+    own = on_object & (ends.kind == EDGE) & (ends.source == ends.surface) & ~ends.foot
+    ranges = jnp.where(own, edge_range, ranges)
+    return ranges.reshape(-1, 4, half // 2)
 
 
 def incidence_cosine(

@@ -73,33 +73,34 @@ def edge_point(
     return rho0 + share * (rho1 - rho0), start[..., 2] + share * (end[..., 2] - start[..., 2])
 
 
-def cut(corners: Float[Array, "*batch 3 3"], azimuth: Float[Array, "*batch"], view: View) -> Segments:
+def cut(corners: Float[Array, "*#batch 3 3"], azimuth: Float[Array, "*#batch"], view: View) -> Segments:
     """Segments of triangles (..., corner, xyz) [m] at `azimuth` [rad], inside the aperture and above the floor."""
     c, s = jnp.cos(azimuth), jnp.sin(azimuth)
-    side = c[..., None] * corners[..., 1] - s[..., None] * corners[..., 0] > 0  # (..., corner): to port of the slice
-    lone = jnp.where(side[..., 0] == side[..., 1], 2, jnp.where(side[..., 0] == side[..., 2], 1, 0))
-    crossed = side.any(-1) & ~side.all(-1)
-    corner = [_pick(corners, (lone + k) % 3) for k in range(3)]
-    first, second = edge_point(corner[0], corner[1], azimuth), edge_point(corner[0], corner[2], azimuth)
-    t, kind, kept = _clip(first, second, azimuth, view)
-    rho = first[0][..., None] + t * (second[0] - first[0])[..., None]
-    z = first[1][..., None] + t * (second[1] - first[1])[..., None]
-    tau = z / jnp.maximum(rho, NEAR_M / 2)
-    edge = jnp.stack([lone, (lone + 2) % 3], axis=-1)  # lone corner to the next, and from the one before
-    flip = (tau[..., 0] > tau[..., 1])[..., None]
-    tau, kind, edge = (jnp.where(flip, v[..., ::-1], v) for v in (tau, kind, edge))
+    side = [c * corners[..., k, 1] - s * corners[..., k, 0] > 0 for k in range(3)]  # to port of the slice
+    crossed = [side[k] != side[(k + 1) % 3] for k in range(3)]  # two of the edges, or none
+    point = [edge_point(corners[..., k, :], corners[..., (k + 1) % 3, :], azimuth) for k in range(3)]
+    first = tuple(jnp.where(crossed[0], a, b) for a, b in zip(point[0], point[1], strict=True))
+    second = tuple(jnp.where(crossed[2], a, b) for a, b in zip(point[2], point[1], strict=True))
+    edge = jnp.where(crossed[0], 0, 1), jnp.where(crossed[2], 2, 1)
+    (t0, kind0), (t1, kind1), kept = _clip(first, second, azimuth, view)
+
+    def tangent(t: Array) -> Array:
+        rho, z = (a + t * (b - a) for a, b in zip(first, second, strict=True))
+        return z / jnp.maximum(rho, NEAR_M / 2)
+
+    tau0, tau1 = tangent(t0), tangent(t1)
+    flip = tau0 > tau1
+
+    def ascending(a: Array, b: Array) -> Array:
+        return jnp.stack([jnp.where(flip, b, a), jnp.where(flip, a, b)], axis=-1)
+
     line = jnp.stack(plane_line(corners, azimuth), axis=-1)
-    return Segments(tau, line, kind, edge, crossed & kept & (tau[..., 1] > tau[..., 0]))
+    hit = (crossed[0] | crossed[1]) & kept & (tau0 != tau1)
+    return Segments(ascending(tau0, tau1), line, ascending(kind0, kind1), ascending(*edge), hit)
 
 
-def _pick(corners: Float[Array, "*batch 3 3"], index: Int[Array, "*batch"]) -> Float[Array, "*batch 3"]:
-    """Corner `index` of each triangle; selects are much faster than a gather on a CPU."""
-    i = index[..., None]
-    return jnp.where(i == 0, corners[..., 0, :], jnp.where(i == 1, corners[..., 1, :], corners[..., 2, :]))
-
-
-def _clip(first: tuple, second: tuple, azimuth: Array, view: View) -> tuple[Array, Array, Array]:
-    """Liang–Barsky: the part [t0, t1] of the segment inside the view, what ends it, and whether any is left."""
+def _clip(first: tuple, second: tuple, azimuth: Array, view: View) -> tuple[tuple, tuple, Array]:
+    """Liang–Barsky: (t, kind) of both ends of the segment's part inside the view, and whether any is left."""
     lateral = view.up[0] * jnp.cos(azimuth) + view.up[1] * jnp.sin(azimuth)
     inside = (
         (TAU_MIN, lambda rho, z: z - view.tau_min * rho),
@@ -117,4 +118,4 @@ def _clip(first: tuple, second: tuple, azimuth: Array, view: View) -> tuple[Arra
         kind0, t0 = jnp.where(enters & (t > t0), name, kind0), jnp.where(enters, jnp.maximum(t0, t), t0)
         kind1, t1 = jnp.where(leaves & (t < t1), name, kind1), jnp.where(leaves, jnp.minimum(t1, t), t1)
         kept = kept & ((d0 >= 0) | (d1 >= 0))
-    return jnp.stack([t0, t1], -1), jnp.stack([kind0, kind1], -1), kept & (t1 > t0)
+    return (t0, kind0), (t1, kind1), kept & (t1 > t0)

@@ -14,8 +14,6 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int
 
-GAUSS = 0.5 / 3**0.5  # two-point Gauss-Legendre nodes lie at the middle ± GAUSS × width
-
 
 class Slabs(NamedTuple):
     """Azimuth slabs of a window, in ascending order."""

@@ -8,14 +8,15 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
-from jax.lax import optimization_barrier, stop_gradient
+from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
 from sonarjax.render.candidates import candidates, front_faces
 from sonarjax.render.energy import floor_energy, floor_lit, object_energy
 from sonarjax.render.envelope import Pieces, visible_pieces
-from sonarjax.render.footprint import covered, swept
+from sonarjax.render.footprint import covered
 from sonarjax.render.patch import patch_lit, patch_span
 from sonarjax.render.profile import (
     Outline,
@@ -29,7 +30,8 @@ from sonarjax.render.profile import (
     trace_ranges,
 )
 from sonarjax.render.segments import Segments, View, cut
-from sonarjax.render.slices import GAUSS, Slabs, event_azimuths, make_slabs
+from sonarjax.render.stage import computed_once
+from sonarjax.render.slices import Slabs, event_azimuths, make_slabs
 from sonarjax.scene import Mesh, Pose
 from sonarjax.scene.pose import rotation_x, rotation_y
 from sonarjax.sonar import Sonar
@@ -60,7 +62,7 @@ class Visible(NamedTuple):
 
     pieces: Pieces
     segments: Segments
-    table: Int[Array, "slab candidate"]
+    table: Int[Array, "slab_or_1 candidate"]
     outline: Outline
 
 
@@ -80,15 +82,23 @@ def find_visible(mesh: Mesh, scene: Scene, slabs: Slabs, sonar: Sonar, elevation
     azimuth = stop_gradient(slabs.middle)
     seen = front_faces(fixed.vertices, fixed.faces, mesh.closed)
     # The barriers keep XLA from fusing a stage into each of its uses, which costs compile time and run time alike.
-    table = optimization_barrier(candidates(fixed.vertices, fixed.faces, seen, azimuth, mesh.crossings))
-    corners = corners_of(fixed, table)
-    segments = cut(corners, jnp.broadcast_to(azimuth[:, None], table.shape), fixed.view)
-    segments = optimization_barrier(segments._replace(hit=segments.hit & (table >= 0)))
-    pieces = optimization_barrier(visible_pieces(segments, elevations))
-    lit = jnp.ones(pieces.winner.shape, bool)
-    if sonar.highlight_max_incidence < 90.0:
-        lit = lit_pieces(incidence_cosine(pieces, segments, corners, azimuth), sonar.highlight_max_incidence)
-    outline = optimization_barrier(find_outline(pieces, segments, table, lit, max_items(mesh.crossings)))
+    table = candidates(fixed.vertices, fixed.faces, seen, azimuth, mesh.crossings, mesh.front)
+    table = jnp.broadcast_to(table, (len(azimuth), table.shape[1]))
+
+    def cut_slabs(azimuth: Array, table: Array) -> Segments:
+        segments = cut(corners_of(fixed, table), azimuth[:, None], fixed.view)
+        return segments._replace(hit=segments.hit & (table >= 0))
+
+    def outline_of(pieces: Pieces, segments: Segments, table: Array, azimuth: Array) -> Outline:
+        lit = jnp.ones(pieces.winner.shape, bool)
+        if sonar.highlight_max_incidence < 90.0:
+            cosine = incidence_cosine(pieces, segments, corners_of(fixed, table), azimuth)
+            lit = lit_pieces(cosine, sonar.highlight_max_incidence)
+        return find_outline(pieces, segments, table, lit, max_items(mesh.crossings))
+
+    segments = computed_once(cut_slabs, azimuth, table)
+    pieces = visible_pieces(segments, mesh.crossing, elevations)
+    outline = computed_once(outline_of, pieces, segments, table, azimuth)
     return Visible(pieces, segments, table, outline)
 
 
@@ -101,11 +111,9 @@ def render_window(mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, sub_beam
     slabs = make_slabs(azimuth_edges, event_azimuths(scene.vertices, mesh.crease), sub_beams)
     visible = find_visible(mesh, scene, slabs, sonar, elevations)
     edges = sonar.range_min + sonar.range_bin * (window.row + jnp.arange(rows + 1, dtype=jnp.float32))
-    nodes = slabs.middle + GAUSS * slabs.width * jnp.array([[-1.0], [1.0]])
-    ranges = trace_ranges(visible.outline, nodes, scene)
-    highlight = _highlight(visible.outline, ranges, slabs, sonar, edges)
-    start, stop = patch_span(nodes, scene, sonar)
-    shadow = _shadow(visible.outline, jnp.clip(ranges, start[..., None], stop[..., None]), slabs, sonar, edges)
+    middle, half = _swept_ends(visible.outline, slabs, scene, sonar, edges)
+    highlight = _highlight(visible.outline, middle[:, :2], half[:, :2], slabs, sonar, rows)
+    shadow = _per_beam(slabs, covered(middle[:, 2:], half[:, 2:], visible.outline.stretches, rows))
     ends = all_ends(visible.pieces, visible.segments, visible.table)
     echo = _per_beam(slabs, object_energy(ends, slabs, scene, sonar, elevations, edges))
     floor = patch_lit(azimuth, scene, sonar, edges)
@@ -122,34 +130,33 @@ def _per_beam(slabs: Slabs, values: Float[Array, "slab range"]) -> Float[Array, 
     return (slabs.weights @ values).T
 
 
+def _swept_ends(
+    outline: Outline, slabs: Slabs, scene: Scene, sonar: Sonar, edges: Float[Array, "edge"]
+) -> tuple[Float[Array, "slab four item"], Float[Array, "slab four item"]]:
+    """Ranges [bins] of the outline's ends in the middle of each slab, and half of what they move by across it."""
+
+    def bins(azimuth: Float[Array, "slab"]) -> Float[Array, "slab four item"]:
+        ranges = trace_ranges(outline, azimuth, scene)
+        start, stop = patch_span(azimuth, scene, sonar)
+        hidden = jnp.clip(ranges[:, 2:], start[..., None], stop[..., None])  # only a floor that is there is hidden
+        return (jnp.concatenate([ranges[:, :2], hidden], axis=1) - edges[0]) / sonar.range_bin
+
+    middle, slope = jax.jvp(bins, (slabs.middle,), (jnp.ones_like(slabs.middle),))
+    return middle, slope * (slabs.width / 2)[:, None, None]
+
+
 def _highlight(
     outline: Outline,
-    ranges: Float[Array, "node slab four item"],
+    middle: Float[Array, "slab 2 item"],
+    half: Float[Array, "slab 2 item"],
     slabs: Slabs,
     sonar: Sonar,
-    edges: Float[Array, "edge"],
+    rows: int,
 ) -> Float[Array, "range beam"]:
     """Share of each pixel's range cell that first hits cover; a run is no shorter than the pulse (at least a bin)."""
-    bins = (ranges - edges[0]) / sonar.range_bin
     pulse = jnp.maximum(jnp.asarray(sonar.pulse_length, jnp.float32) / sonar.range_bin, 1.0)
-    middle = (bins[:, :, 0] + bins[:, :, 1]) / 2
-    half = jnp.maximum(bins[:, :, 1] - bins[:, :, 0], pulse) / 2
-    share = covered(swept(middle - half), swept(middle + half), outline.runs, _bin_edges(edges))
-    return jnp.clip(_per_beam(slabs, jnp.clip(share, 0.0, 1.0)), 0.0, 1.0)
-
-
-def _shadow(
-    outline: Outline,
-    ranges: Float[Array, "node slab four item"],
-    slabs: Slabs,
-    sonar: Sonar,
-    edges: Float[Array, "edge"],
-) -> Float[Array, "range beam"]:
-    """Share of each pixel's floor that is hidden behind an object."""
-    bins = (ranges - edges[0]) / sonar.range_bin
-    share = covered(swept(bins[:, :, 2]), swept(bins[:, :, 3]), outline.stretches, _bin_edges(edges))
-    return jnp.clip(_per_beam(slabs, jnp.clip(share, 0.0, 1.0)), 0.0, 1.0)
-
-
-def _bin_edges(edges: Float[Array, "edge"]) -> Float[Array, "edge"]:
-    return jnp.arange(len(edges), dtype=jnp.float32)
+    short = (middle[:, 1] - middle[:, 0] < pulse)[:, None]
+    grown = middle.mean(axis=1, keepdims=True) + pulse * jnp.array([[-0.5], [0.5]])
+    middle = jnp.where(short, grown, middle)
+    half = jnp.where(short, half.mean(axis=1, keepdims=True), half)
+    return _per_beam(slabs, covered(middle, half, outline.runs, rows))

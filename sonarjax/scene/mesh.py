@@ -18,10 +18,12 @@ import trimesh
 from jaxtyping import Array, Float, Int
 
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.scene.slicing import has_crossing_triangles, most_crossings, most_front
 
 LARGEST_EXTENT_M = 100.0  # an object longer than this is taken for one drawn in millimetres
 CREASE_ANGLE = math.radians(20.0)  # edges sharper than this count as edges of the body, not of its tessellation
 MAX_CREASE_VERTICES = 64
+CHECKED_FACES = 1000  # larger meshes are taken to pass through themselves: to check them takes seconds
 
 
 @jax.tree_util.register_dataclass
@@ -42,6 +44,10 @@ class Mesh:
     """True when the surface encloses a volume: faces that look away from the sonar are then never seen."""
     crossings: int = field(default=0, metadata={"static": True})
     """Upper bound of the triangles that one vertical slice crosses (front faces only where `closed`)."""
+    front: int = field(default=0, metadata={"static": True})
+    """Upper bound of the triangles that look at the sonar at once (all of them unless `closed`)."""
+    crossing: bool = field(default=True, metadata={"static": True})
+    """False when no two triangles pass through each other: slices then hold half as many pieces."""
     radius: float = field(default=0.0, metadata={"static": True})
     """Largest horizontal distance of a vertex from the mesh origin [m], rounded up: sizes the render window."""
     top: float = field(default=0.0, metadata={"static": True})
@@ -158,7 +164,9 @@ def _padded(surface: trimesh.Trimesh, closed: bool) -> Mesh:
         faces=jnp.asarray(_pad(faces, _bucket(len(faces)), np.zeros((1, 3), np.int32))),
         crease=jnp.asarray(_pad(crease, min(_bucket(max(len(crease), 1)), MAX_CREASE_VERTICES), np.zeros(1, np.int32))),
         closed=closed,
-        crossings=_crossings(vertices, faces, closed),
+        crossings=_rounded(most_crossings(vertices, faces, closed), len(faces)),
+        front=_rounded(most_front(vertices, faces) if closed else len(faces), len(faces)),
+        crossing=len(faces) > CHECKED_FACES or has_crossing_triangles(vertices, faces),
         radius=_round_up(float(np.hypot(used[:, 0], used[:, 1]).max())),
         top=_round_up(float(used[:, 2].max())),
     )
@@ -194,30 +202,6 @@ def _crease_vertices(surface: trimesh.Trimesh) -> np.ndarray:
     return np.sort(order).astype(np.int32)
 
 
-def _crossings(vertices: np.ndarray, faces: np.ndarray, closed: bool, views: int = 48) -> int:
-    """Upper bound of the triangles that a vertical plane crosses, over sampled directions of view, with a margin.
-
-    Each direction is also tried with two tilts, because pitch and roll turn other triangles into the slice.
-    """
-    worst = 0
-    triangles = vertices[faces].astype(np.float64)  # (face, corner, 3)
-    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    for view in range(views):
-        yaw = 2 * math.pi * (view + 0.5) / views
-        along = np.array([math.cos(yaw), math.sin(yaw), 0.0])
-        across = np.array([-math.sin(yaw), math.cos(yaw), 0.0])
-        for down in (0.0, 0.35, 0.7):
-            seen = normals @ (math.cos(down) * along + np.array([0, 0, -math.sin(down)])) < 0
-            spans = triangles[seen if closed else slice(None)] @ across
-            worst = max(worst, _deepest_overlap(spans.min(axis=1), spans.max(axis=1)))
-    return min(
-        -(-math.ceil(worst * 1.15) // 4) * 4 if worst < 64 else _bucket(math.ceil(worst * 1.15)), _bucket(len(faces))
-    )
-
-
-def _deepest_overlap(starts: np.ndarray, ends: np.ndarray) -> int:
-    """Largest number of open intervals (start, end) that share a point."""
-    points = np.concatenate([starts, ends])
-    steps = np.concatenate([np.ones(len(starts)), -np.ones(len(ends))])
-    order = np.lexsort((steps, points))  # at a shared corner the old one ends before the new one starts
-    return int(np.cumsum(steps[order]).max(initial=0))
+def _rounded(bound: int, faces: int) -> int:
+    """`bound` rounded up, so that similar meshes share compiled code; never above the padded number of faces."""
+    return min(-(-bound // 4) * 4 if bound < 64 else _bucket(bound), _bucket(faces))

@@ -64,12 +64,7 @@ def test_labels_agree_over_the_whole_set(agreement):
     assert same / pixels >= ALL_PIXELS and both / either >= OBJECT_PIXELS
 
 
-# A defect that is known and open: where facets are seen nearly edge-on, at the limb of a round body, a beam's energy is
-# spread too far in range, and up to 11 % too large.
-LIMB = pytest.mark.xfail(strict=False, reason="energy at the limb of round bodies is up to 11 % off (bar 2 %)")
-
-
-@pytest.mark.parametrize("name", [pytest.param(name, marks=() if name == "target" else LIMB) for name in MESHES])
+@pytest.mark.parametrize("name", MESHES)
 def test_energy_lands_where_the_rays_hit(name):
     """Cumulated over range, each beam's energy stays within 2 % of the beam's total at every range."""
     mesh = MESHES[name]()

@@ -36,12 +36,6 @@ SONAR = Sonar.preset("didson-hf", tilt=0.0, height=0.9)
 SMALL = SONAR.replace(azimuth=jnp.asarray(np.radians((np.arange(24) - 11.5) * 29 / 24), jnp.float32), n_ranges=96)
 
 
-# A defect that is known and open, not a tolerance: the medians meet their bars (y 3 %, tilt 6 %), the tails do not.
-TAIL = pytest.mark.xfail(
-    strict=False, reason="95th percentile of d/dy is 48 % of RMS (bar 25 %), of d/dtilt 128 %: a few scenes are wrong"
-)
-
-
 def image(mesh, p, row, column, sub_beams):
     """Semantic window at p = (yaw, x, y, tilt, height, shape); `shape` stretches the mesh upwards."""
     mesh = mesh.with_vertices(mesh.vertices * jnp.stack([jnp.ones(()), jnp.ones(()), 1 + p[5]]))
@@ -81,7 +75,10 @@ converged_image = jax.jit(partial(image, sub_beams=CONVERGED))
 def scenes(seed):
     rng = np.random.default_rng(seed)
     for k in range(SCENES):
-        place = rng.uniform([0.0, 2.05, -0.2], [2 * math.pi, 2.4, 0.2])
+        # As far away as §4.1 has it for the tilt: where the aperture's edge cuts the object, slivers of it appear and
+        # vanish as it tilts, each at least a pulse long, and the image truly jumps.
+        x = (2.45, 2.30, 2.10)[k % 3]
+        place = rng.uniform([0.0, x - 0.05, -0.2], [2 * math.pi, x + 0.05, 0.2])
         turned = rng.choice([-1, 1]) * rng.uniform(0.05, 0.15)
         p = np.array([*place, math.radians((15, 20, 25)[k % 3]), 0.9, 0.0])
         yield p, np.array([turned, *rng.uniform(-0.012, 0.012, 2), 0, 0, 0])
@@ -114,7 +111,7 @@ def derivatives():
 
 
 @pytest.mark.parametrize("loss", [0, 1], ids=["squares", "1-ncc"])
-@pytest.mark.parametrize("parameter", [0, 1, pytest.param(2, marks=TAIL)], ids=NAMES[:3])
+@pytest.mark.parametrize("parameter", [0, 1, 2], ids=NAMES[:3])
 def test_pose_gradients(derivatives, loss, parameter):
     ours, theirs = (d[..., loss, parameter].ravel() for d in derivatives)
     rms = np.sqrt((theirs**2).mean())
@@ -132,7 +129,7 @@ def test_pose_gradients(derivatives, loss, parameter):
 
 
 @pytest.mark.parametrize("loss", [0, 1], ids=["squares", "1-ncc"])
-@pytest.mark.parametrize("parameter", [pytest.param(3, marks=TAIL), 4, 5], ids=NAMES[3:])
+@pytest.mark.parametrize("parameter", [3, 4, 5], ids=NAMES[3:])
 def test_sonar_and_vertex_gradients(derivatives, loss, parameter):
     ours, theirs = (d[..., loss, parameter].ravel() for d in derivatives)
     rms = np.sqrt((theirs**2).mean())

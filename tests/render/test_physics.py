@@ -140,7 +140,7 @@ def test_floor_patch():
     assert whole[~inside].max() > 0.99  # the case cuts the shadow
     deep, off = _eroded(inside), _eroded(~inside)
     np.testing.assert_allclose(shadow[deep], whole[deep], atol=3e-3)  # 15 µm of range: float32
-    assert shadow[off].max() < 1e-4  # rounding in sums of ramps
+    assert shadow[off].max() < 1e-3  # an end that sweeps over the platform's edge inside one slab
 
 
 def _eroded(mask, rows=3, columns=1):

@@ -1,0 +1,83 @@
+"""What vertical slices will meet in a mesh, found once when it is read: how many triangles, and whether they cross."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from jaxtyping import Float, Int
+
+INSIDE = 1e-4  # share of an edge or a triangle by which a point must lie inside it: bodies that only touch do not cross
+PAIRS_AT_ONCE = 1 << 21
+
+
+def most_crossings(
+    vertices: Float[np.ndarray, "vertex 3"], faces: Int[np.ndarray, "face 3"], closed: bool, views: int = 48
+) -> int:
+    """Triangles that a vertical plane through `vertices` (vertex, 3) [m] crosses, at most, over sampled directions.
+
+    Of a `closed` surface only those count that look at the sonar. Each direction is also tried with two tilts, because
+    pitch and roll turn other triangles into the slice; 15 % are added for the directions between.
+    """
+    worst = 0
+    triangles = vertices[faces].astype(np.float64)  # (face, corner, 3)
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    for view in range(views):
+        yaw = 2 * math.pi * (view + 0.5) / views
+        along = np.array([math.cos(yaw), math.sin(yaw), 0.0])
+        across = np.array([-math.sin(yaw), math.cos(yaw), 0.0])
+        for down in (0.0, 0.35, 0.7):
+            seen = normals @ (math.cos(down) * along + np.array([0, 0, -math.sin(down)])) < 0
+            spans = triangles[seen if closed else slice(None)] @ across
+            worst = max(worst, _deepest_overlap(spans.min(axis=1), spans.max(axis=1)))
+    return math.ceil(worst * 1.15)
+
+
+def _deepest_overlap(starts: np.ndarray, ends: np.ndarray) -> int:
+    """Largest number of open intervals (start, end) that share a point."""
+    points = np.concatenate([starts, ends])
+    steps = np.concatenate([np.ones(len(starts)), -np.ones(len(ends))])
+    order = np.lexsort((steps, points))  # at a shared corner the old one ends before the new one starts
+    return int(np.cumsum(steps[order]).max(initial=0))
+
+
+def most_front(
+    vertices: Float[np.ndarray, "vertex 3"], faces: Int[np.ndarray, "face 3"], directions: int = 256
+) -> int:
+    """Triangles of a closed surface that look towards one point, at most, over sampled directions, and 10 % more.
+
+    Vertices (vertex, 3) [m]. The directions lie on a Fibonacci spiral, so any roll and pitch is among them.
+    """
+    corners = vertices[faces].astype(np.float64)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    k = np.arange(directions) + 0.5
+    z, angle = 1 - 2 * k / directions, math.pi * (1 + 5**0.5) * k
+    planar = np.sqrt(1 - z * z)
+    seen = normals @ np.stack([planar * np.cos(angle), planar * np.sin(angle), z]) > 0
+    return min(math.ceil(int(seen.sum(axis=0).max()) * 1.1), len(faces))
+
+
+def has_crossing_triangles(vertices: Float[np.ndarray, "vertex 3"], faces: Int[np.ndarray, "face 3"]) -> bool:
+    """True where an edge of the surface passes through the inside of one of its triangles (Möller and Trumbore, 1997).
+
+    Bodies that merely touch, as bricks in a pile do, are not taken to cross. Vertices (vertex, 3) are in metres.
+    """
+    points = vertices.astype(np.float64)
+    edges = np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+    step = max(1, PAIRS_AT_ONCE // len(faces))
+    a, ab, ac = points[faces[:, 0]], *(points[faces[:, k]] - points[faces[:, 0]] for k in (1, 2))
+    normal = np.cross(ab, ac)
+    for first in range(0, len(edges), step):
+        start, end = (points[edges[first : first + step, k]][:, None] for k in (0, 1))  # (edge, 1, xyz)
+        direction = end - start
+        slope = (direction * normal).sum(-1)  # (edge, face)
+        flat = np.abs(slope) < 1e-9 * np.sqrt((direction**2).sum(-1) * (normal**2).sum(-1))
+        slope = np.where(flat, 1.0, slope)
+        from_corner = start - a
+        along = -(from_corner * normal).sum(-1) / slope
+        turned = np.cross(direction, from_corner)
+        u, v = -(turned * ac).sum(-1) / slope, (turned * ab).sum(-1) / slope
+        inside = (np.minimum(u, v) > INSIDE) & (u + v < 1 - INSIDE) & (along > INSIDE) & (along < 1 - INSIDE)
+        if (inside & ~flat).any():
+            return True
+    return False
