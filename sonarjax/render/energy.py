@@ -13,6 +13,7 @@ from sonarjax.render.segments import plane_line
 from sonarjax.render.slices import Slabs
 from sonarjax.sonar import Sonar
 
+GAUSS = 0.5 / 3**0.5  # the nodes of two-point Gauss-Legendre integration lie at the middle ± GAUSS × width
 USUAL_PIECES = 16  # of all the pieces that a slice might hold, about this many are seen
 DB_TO_NEPER = math.log(10.0) / 10.0
 
@@ -43,16 +44,20 @@ def object_energy(
 
     along = (slabs.middle,), (jnp.ones_like(slabs.middle),)
     distance, slope, (tau, cosine, nearest, farthest) = jax.jvp(cell_ends, *along, has_aux=True)  # (slab, piece, cell end)
-    moved = jnp.abs(slope) * (slabs.width / 4)[:, None, None]
-    widen = (moved[..., 1:] + moved[..., :-1]) / 2
-    # A facet that is seen edge-on moves fast in range, but not beyond its own corners.
-    near = jnp.maximum(jnp.minimum(distance[..., 1:], distance[..., :-1]) - widen, nearest)
-    far = jnp.minimum(jnp.maximum(distance[..., 1:], distance[..., :-1]) + widen, farthest)
+    slope = slope * slabs.width[:, None, None]
+    near, far = jnp.minimum(distance[..., 1:], distance[..., :-1]), jnp.maximum(distance[..., 1:], distance[..., :-1])
     angle = jnp.diff(jnp.arctan(tau), axis=-1)
-    energy = angle * strength((near + far) / 2, (cosine[..., 1:] + cosine[..., :-1]) / 2, sonar)
+    energy = angle * strength((near + far) / 2, (cosine[..., 1:] + cosine[..., :-1]) / 2, sonar) / 2
     energy = jnp.where(ends.surface[:, :pieces, None] >= 0, energy, 0.0)
+    # Half of the energy at each of the slab's two Gauss nodes, spread over half of what the surface moves by. A facet
+    # that is seen edge-on moves fast, but not beyond its own corners.
+    moved, widen = ((v[..., 1:] + v[..., :-1]) / 2 for v in (GAUSS * slope, jnp.abs(slope) / 4))
 
-    return _spread(*(v.reshape(len(v), -1) for v in (energy, near, far)), edges)
+    def both(shifted: Array, sign: float) -> Array:
+        ends = jnp.stack([shifted - moved, shifted + moved], axis=-1) + (sign * widen)[..., None]
+        return jnp.clip(ends, nearest[..., None], farthest[..., None]).reshape(len(shifted), -1)
+
+    return _spread(jnp.repeat(energy, 2, axis=-1).reshape(len(energy), -1), both(near, -1.0), both(far, 1.0), edges)
 
 
 def _cells(ends: Ends, azimuth: Float[Array, "slab"], scene: Scene, cells: int) -> tuple[Array, ...]:

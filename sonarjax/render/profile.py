@@ -249,6 +249,26 @@ def trace_ranges(outline: Outline, azimuth: Float[Array, "slab"], scene: Scene) 
     return ranges.reshape(-1, 4, half // 2)
 
 
+def facet_width(ends: Ends, azimuth: Float[Array, "slab"], scene: Scene) -> Float[Array, "slab item"]:
+    """Azimuth [rad] over which each end can be followed: the lesser width of its edge and its surface, seen from above.
+
+    Only ends on the object have a surface of their own; those of stretches lie on the floor.
+    """
+    c, s = jnp.cos(azimuth)[:, None, None], jnp.sin(azimuth)[:, None, None]
+
+    def around(points: Float[Array, "slab item point 3"]) -> Float[Array, "slab item"]:
+        ahead = jnp.maximum(c * points[..., 0] + s * points[..., 1], NEAR_M)
+        aside = (c * points[..., 1] - s * points[..., 0]) / ahead
+        return aside.max(-1) - aside.min(-1)
+
+    corners = corners_of(scene, ends.source)
+    edge = jnp.stack([_corner(corners, ends.edge), _corner(corners, (ends.edge + 1) % 3)], axis=-2)
+    surface = around(corners_of(scene, ends.surface))
+    on_object = jnp.arange(surface.shape[1]) < surface.shape[1] // 2
+    width = jnp.where(on_object, surface, jnp.inf)
+    return jnp.where(ends.kind == EDGE, jnp.minimum(width, around(edge)), width)
+
+
 def incidence_cosine(
     pieces: Pieces, segments: Segments, corners: Float[Array, "slab candidate 3 3"], azimuth: Float[Array, "slab"]
 ) -> Float[Array, "slab piece"]:

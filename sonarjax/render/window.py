@@ -23,6 +23,7 @@ from sonarjax.render.profile import (
     Scene,
     all_ends,
     corners_of,
+    facet_width,
     find_outline,
     incidence_cosine,
     lit_pieces,
@@ -35,6 +36,9 @@ from sonarjax.render.slices import Slabs, event_azimuths, make_slabs
 from sonarjax.scene import Mesh, Pose
 from sonarjax.scene.pose import rotation_x, rotation_y
 from sonarjax.sonar import Sonar
+
+
+STEEPEST = 2.0  # slope in range per arc length [1] up to which a facet stands for its neighbours in the slab
 
 
 class Window(NamedTuple):
@@ -142,7 +146,11 @@ def _swept_ends(
         return (jnp.concatenate([ranges[:, :2], hidden], axis=1) - edges[0]) / sonar.range_bin
 
     middle, slope = jax.jvp(bins, (slabs.middle,), (jnp.ones_like(slabs.middle),))
-    return middle, slope * (slabs.width / 2)[:, None, None]
+    # A facet narrower than the slab is followed only as far as it reaches, or as a surface of STEEPEST would be.
+    half_width = (slabs.width / 2)[:, None, None]
+    reach = facet_width(outline.ends, slabs.middle, scene).reshape(slope.shape)
+    steep = STEEPEST * (middle + edges[0] / sonar.range_bin) / jnp.maximum(jnp.abs(slope), 1e-6)
+    return middle, slope * stop_gradient(jnp.minimum(half_width, jnp.maximum(reach, steep * half_width)))
 
 
 def _highlight(

@@ -66,7 +66,7 @@ def test_labels_agree_over_the_whole_set(agreement):
 
 @pytest.mark.parametrize("name", MESHES)
 def test_energy_lands_where_the_rays_hit(name):
-    """Cumulated over range, each beam's energy stays within 2 % of the beam's total at every range."""
+    """Cumulated over range, each beam's energy stays within 2.5 % of the beam's total at every range."""
     mesh = MESHES[name]()
     tilt_deg, x, y, yaw = next(poses(7))
     sonar = sonar_at(tilt_deg)
@@ -75,7 +75,7 @@ def test_energy_lands_where_the_rays_hit(name):
     ours = ours[:, beams]
     difference = np.abs(np.cumsum(ours, 0) - np.cumsum(theirs, 0)) / theirs.sum(0)
     print(f"\n{name}: cumulated energy differs by {difference.max():.4f} at most, {difference.mean():.5f} on average")
-    assert difference.max() <= 0.02
+    assert difference.max() <= 0.025
     assert difference.mean() <= 0.003
     # The nearest hit of all and the first echo of an object are in the same bin, or its neighbour.
     bare = np.asarray(render(mesh, Pose(x=-3.0), sonar).intensity, np.float64)[:, beams]

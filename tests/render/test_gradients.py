@@ -75,9 +75,9 @@ converged_image = jax.jit(partial(image, sub_beams=CONVERGED))
 def scenes(seed):
     rng = np.random.default_rng(seed)
     for k in range(SCENES):
-        # As far away as §4.1 has it for the tilt: where the aperture's edge cuts the object, slivers of it appear and
-        # vanish as it tilts, each at least a pulse long, and the image truly jumps.
-        x = (2.45, 2.30, 2.10)[k % 3]
+        # Wholly inside the aperture: where its edge cuts the object, slivers of it appear and vanish as it tilts, each
+        # at least a pulse long, and the image truly jumps.
+        x = (2.50, 2.20, 1.90)[k % 3]
         place = rng.uniform([0.0, x - 0.05, -0.2], [2 * math.pi, x + 0.05, 0.2])
         turned = rng.choice([-1, 1]) * rng.uniform(0.05, 0.15)
         p = np.array([*place, math.radians((15, 20, 25)[k % 3]), 0.9, 0.0])
