@@ -12,7 +12,7 @@ import numpy as np
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.match import PreparedBank, match_positions, peaks, prepare_bank
 from sonarjax.refine import YawEstimate, refine_yaw
-from sonarjax.render import TemplateBank, bank_place, floor_point, template_bank, window_shape
+from sonarjax.render import TemplateBank, bank_place, floor_point, object_columns, template_bank, window_shape
 from sonarjax.scene import Mesh, Pose
 from sonarjax.segment import check_segmenter, segment, to_grey
 from sonarjax.sonar import Sonar
@@ -81,6 +81,7 @@ class Recognizer:
         self._banks: dict[tuple[int, bool, bool], tuple[TemplateBank, PreparedBank] | None] = {}
         self._distances = _ground_ranges(sonar)
         near = float(self._distances[0])
+        self._beams = object_columns(mesh, sonar, near)
         self._shape = (sonar.n_ranges, min(-(-window_shape(mesh, sonar, near)[1] // 16) * 16, sonar.n_beams))
 
     def bank(self, index: int, coarse: bool, masked: bool) -> tuple[TemplateBank, PreparedBank] | None:
@@ -90,7 +91,7 @@ class Recognizer:
             yaws = np.arange(0, YAW_BINS, 2 if coarse else 1) * (2 * math.pi / YAW_BINS)
             distance = float(self._distances[index])
             try:
-                bank = template_bank(self.mesh, self.sonar, yaws, x=distance, shape=self._shape)
+                bank = template_bank(self.mesh, self.sonar, yaws, x=distance, shape=self._shape, beams=self._beams)
                 self._banks[key] = (bank, prepare_bank(bank, self.sonar.shape, masked=masked))
             except SonarjaxError:
                 self._banks[key] = None

@@ -13,7 +13,7 @@ import pytest
 
 PROJECT = Path(__file__).resolve().parent.parent
 STAGES = ["io", "scene", "sonar", "render", "sensor", "data", "segment", "match", "refine", "recognize", "plot", "cli"]
-ASIDE = {"_cache", "__init__", "__main__"}  # files of the top folder that stand outside the order
+ASIDE = {"_cache", "_cores", "__init__", "__main__"}  # files of the top folder that stand outside the order
 ONLY_IMPORTER = {"trimesh": "scene", "jaxopt": "refine"}
 FORBIDDEN = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "shelve", "marshal"}
 MAX_LINES = 450
@@ -75,7 +75,7 @@ def _wrong_direction(stage: str, imported: list[str], is_folder: bool) -> str | 
     if stage not in STAGES:
         return f"{stage} is not in the list of stages: {', '.join(STAGES)}"
     target = imported[0] if imported else "__init__"
-    if (target == stage and is_folder) or (target == "_cache" and not is_folder):
+    if target == "_cores" or (target == stage and is_folder) or (target == "_cache" and not is_folder):
         return None
     if target not in STAGES:
         return f"imports {target} from the package's top: import it from its own folder"

@@ -11,9 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from sonarjax._cores import SINGLE_CORE, on_all_cores
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.render.frame import semantic_image
-from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS, image_azimuth, place_window, window_shape
+from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS, image_azimuth, object_columns, place_window, window_shape
 from sonarjax.render.window import Window, render_window
 from sonarjax.scene import Mesh, Pose
 from sonarjax.sonar import Sonar
@@ -61,39 +62,50 @@ def template_bank(
     elevations: int = 64,
     margin: tuple[int, int] = (MARGIN_BINS, MARGIN_BEAMS),
     shape: tuple[int, int] | None = None,
+    beams: int | None = None,
 ) -> TemplateBank:
     """Render the object at (x, y) [m] at each of `yaws` (yaw,) [rad], cropped to one box with a `margin` (bins, beams).
 
     Views are rendered one after another in a window around the object, so memory grows only with the templates;
-    `shape` (range, beam) [pixels] sets the window's size, so that banks at several places share compiled code.
+    `shape` (range, beam) [pixels] sets the window's size and `beams` how many of them the object itself may touch, so
+    that banks at several places share compiled code.
     Raises SonarjaxError when `yaws` is empty or not finite, or the object is outside the sonar's view.
     """
     yaws = np.atleast_1d(np.asarray(yaws, np.float32))
     if yaws.ndim != 1 or yaws.size == 0 or not np.isfinite(yaws).all():
         raise SonarjaxError(f"yaws: expected a non-empty list of finite angles [rad], got shape {yaws.shape}")
     shape = shape or window_shape(mesh, sonar, float(np.hypot(x, y)))
-    rows, columns, images = _render_views(mesh, sonar, jnp.asarray(yaws), x, y, shape, sub_beams, elevations)
-    box = _touched_box(np.asarray(images))
+    row, column = (int(v) for v in _corner(mesh, sonar, x, y, shape))
+    settings = (shape, beams or object_columns(mesh, sonar, float(np.hypot(x, y))), sub_beams, elevations)
+    views = on_all_cores(lambda part: _render_views(mesh, sonar, part, x, y, (row, column), *settings), yaws)
+    images = np.asarray(views)
+    box = _touched_box(images)
     if box is None:
         raise SonarjaxError(f"template bank: an object at x {x:.2f} m, y {y:.2f} m is outside the sonar's view")
-    (first, last), row, column = box, int(rows), int(columns)
+    first, last = box
     top, left = max(first[0] - margin[0], 0), max(first[1] - margin[1], 0)
     bottom, right = min(last[0] + margin[0], shape[0] - 1), min(last[1] + margin[1], shape[1] - 1)
-    crop = images[:, top : bottom + 1, left : right + 1]
-    offset = (int(row + top), int(column + left))
-    return TemplateBank(crop, jnp.asarray(yaws), offset, float(x), float(y), float(sonar.tilt))
+    crop = jnp.asarray(images[:, top : bottom + 1, left : right + 1])
+    return TemplateBank(crop, jnp.asarray(yaws), (row + top, column + left), float(x), float(y), float(sonar.tilt))
 
 
-@partial(jax.jit, static_argnames=("shape", "sub_beams", "elevations"))
-def _render_views(
-    mesh: Mesh, sonar: Sonar, yaws: Array, x: Any, y: Any, shape: tuple[int, int], sub_beams: int, elevations: int
-) -> tuple[Array, Array, Array]:
+@partial(jax.jit, static_argnames="shape")
+def _corner(mesh: Mesh, sonar: Sonar, x: Any, y: Any, shape: tuple[int, int]) -> tuple[Any, Any]:
     window = place_window(shape, mesh, sonar, x, y)
+    return window.row, window.column
+
+
+@partial(jax.jit, static_argnames=("shape", "beams", "sub_beams", "elevations"), compiler_options=SINGLE_CORE)
+def _render_views(
+    mesh: Mesh, sonar: Sonar, yaws: Any, x: Any, y: Any, corner: Any,
+    shape: tuple[int, int], beams: int, sub_beams: int, elevations: int,
+) -> Float[Array, "yaw range beam"]:  # fmt: skip
+    window = Window(*corner, shape, beams)
 
     def one(yaw: Array) -> Array:
         return semantic_window(mesh, Pose(x, y, yaw), sonar, window, sub_beams, elevations)
 
-    return jnp.asarray(window.row), jnp.asarray(window.column), jax.lax.map(one, yaws)
+    return jax.lax.map(one, jnp.asarray(yaws))
 
 
 def semantic_window(

@@ -43,7 +43,9 @@ def object_energy(
         return distance, tuple(others)
 
     along = (slabs.middle,), (jnp.ones_like(slabs.middle),)
-    distance, slope, (tau, cosine, nearest, farthest) = jax.jvp(cell_ends, *along, has_aux=True)  # (slab, piece, cell end)
+    distance, slope, (tau, cosine, nearest, farthest) = jax.jvp(
+        cell_ends, *along, has_aux=True
+    )  # (slab, piece, cell end)
     slope = slope * slabs.width[:, None, None]
     near, far = jnp.minimum(distance[..., 1:], distance[..., :-1]), jnp.maximum(distance[..., 1:], distance[..., :-1])
     angle = jnp.diff(jnp.arctan(tau), axis=-1)

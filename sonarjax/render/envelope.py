@@ -53,7 +53,10 @@ def _nearest(segments: Segments, tau: Float[Array, "slab point"]) -> Int[Array, 
     count = segments.hit.shape[1]
     bits = (count - 1).bit_length()
     low = jnp.where(segments.hit, segments.tau[..., 0] - TOUCH, jnp.inf)
-    columns = (jnp.arange(count), *(v.T for v in (low, segments.tau[..., 1] + TOUCH, *jnp.moveaxis(segments.line, -1, 0))))
+    columns = (
+        jnp.arange(count),
+        *(v.T for v in (low, segments.tau[..., 1] + TOUCH, *jnp.moveaxis(segments.line, -1, 0))),
+    )
 
     def closer(best: Array, candidate: tuple[Array, ...]) -> tuple[Array, None]:
         number, low, high, a, b = candidate

@@ -30,6 +30,7 @@ from sonarjax.render.segments import (
 
 EMPTY_TAU = 1e-7  # a piece narrower than this is nothing
 HORIZON = 1e-4  # least 1/planar range [1/m]: farther surfaces are put at 10 km
+MOST_ITEMS = 12
 GAP = 1e-4  # relative step in range that ends a run: ten times float32's error, far below any sonar's resolution
 
 
@@ -54,16 +55,19 @@ class Outline(NamedTuple):
     """All that a slab shows. One array holds all ends, so that one pass follows them through the vertices."""
 
     ends: Ends
-    """Ends (slab, 4 × item): runs' nearest points, runs' farthest points, stretches' lower ends, their upper ends."""
-    runs: Bool[Array, "slab item"]
+    """Ends (slab, 2 run + 2 stretch): runs' nearest points, their farthest, stretches' lower ends, their upper ends."""
+    runs: Bool[Array, "slab run"]
     """Which runs exist."""
-    stretches: Bool[Array, "slab item"]
+    stretches: Bool[Array, "slab stretch"]
     """Which stretches exist."""
 
 
-def max_items(crossings: int) -> int:
-    """How many runs and stretches a slice keeps; further ones are joined to the last."""
-    return max(2, min(crossings // 2, 8 if crossings <= 32 else 12))
+def max_items(crossings: int) -> tuple[int, int]:
+    """How many runs and stretches a slice keeps; further ones are joined to the last.
+
+    A run shows at least a triangle or two, a body that stands alone more.
+    """
+    return max(2, min(crossings // 3, MOST_ITEMS)), max(2, min(crossings // 4, MOST_ITEMS))
 
 
 def piece_range(line: Float[Array, "*#batch 2"], tau: Float[Array, "*#batch"]) -> Float[Array, "*batch"]:
@@ -77,7 +81,7 @@ def find_outline(
     segments: Segments,
     table: Int[Array, "slab_or_1 candidate"],
     lit: Bool[Array, "slab piece"],
-    items: int,
+    items: tuple[int, int],
 ) -> Outline:
     """Chains of visible pieces; `table` holds the candidates' triangle ids, `lit` the pieces that give highlight."""
     solid = pieces.winner >= 0
@@ -85,8 +89,8 @@ def find_outline(
     start, end = (piece_range(line, pieces.tau[..., k]) for k in (0, 1))
     same_range = jnp.abs(_previous(end) - start) < GAP * start
     shown = solid & lit
-    run = _chain(shown, shown & ~(_previous(shown) & same_range), items)
-    stretch = _chain(solid, solid & ~_previous(solid), items)
+    run = _chain(shown, shown & ~(_previous(shown) & same_range), items[0])
+    stretch = _chain(solid, solid & ~_previous(solid), items[1])
     foot_tau = line[..., 1] / jnp.maximum(line[..., 0], 1e-9)
     foot = (foot_tau > pieces.tau[..., 0]) & (foot_tau < pieces.tau[..., 1])
     foot_range = jnp.where(foot, jax.lax.rsqrt((line**2).sum(-1) + 1e-12), jnp.inf)
@@ -97,9 +101,9 @@ def find_outline(
     upper = jnp.where(stretch, number[:, None], 0).max(axis=1)
     at_end = jnp.take_along_axis(end - start, jnp.concatenate([near, far], axis=1), axis=1)
     at_foot = jnp.take_along_axis(foot_range < jnp.minimum(start, end), near, axis=1)
-    upper_end = jnp.concatenate([at_end[:, :items] < 0, at_end[:, items:] > 0], axis=1)
+    upper_end = jnp.concatenate([at_end[:, : items[0]] < 0, at_end[:, items[0] :] > 0], axis=1)
     runs, stretches = run.any(axis=1), stretch.any(axis=1)
-    no = jnp.zeros_like(runs)
+    no, never = jnp.zeros_like(stretches), jnp.zeros_like(jnp.concatenate([runs, stretches, stretches], axis=1))
     return Outline(
         _ends(
             pieces,
@@ -108,7 +112,7 @@ def find_outline(
             piece=jnp.concatenate([near, far, lower, upper], axis=1),
             upper_end=jnp.concatenate([upper_end, no, ~no], axis=1),
             exists=jnp.concatenate([runs, runs, stretches, stretches], axis=1),
-            foot=jnp.concatenate([at_foot, no, no, no], axis=1),
+            foot=jnp.concatenate([at_foot, never], axis=1),
         ),
         runs,
         stretches,
@@ -222,7 +226,7 @@ def _corner(corners: Float[Array, "*batch 3 3"], index: Int[Array, "*batch"]) ->
     return jnp.where(i == 0, corners[..., 0, :], jnp.where(i == 1, corners[..., 1, :], corners[..., 2, :]))
 
 
-def trace_ranges(outline: Outline, azimuth: Float[Array, "slab"], scene: Scene) -> Float[Array, "slab four item"]:
+def trace_ranges(outline: Outline, azimuth: Float[Array, "slab"], scene: Scene) -> Float[Array, "slab end"]:
     """Slant ranges [m] of an outline's ends at `azimuth` [rad]: runs' near and far points, floor behind stretches' ends.
 
     The floor at and above the horizon is very far. Differentiable in `azimuth` too, at the middle of the slabs.
@@ -232,8 +236,7 @@ def trace_ranges(outline: Outline, azimuth: Float[Array, "slab"], scene: Scene) 
     corners = corners_of(scene, ends.surface)
     surface = plane_line(corners, theta)
     tau, edge_range = trace_tau(ends, theta, scene, surface)
-    half = ends.tau.shape[1] // 2
-    on_object = jnp.arange(2 * half) < half
+    on_object = jnp.arange(ends.tau.shape[1]) < 2 * outline.runs.shape[1]
     line = [jnp.where(on_object, o, f) for o, f in zip(surface, floor_line(theta, scene.view), strict=True)]
     # No point of a triangle is nearer than its nearest corner or farther than its farthest, as seen along the slice;
     # the plane of a facet seen edge-on is, as soon as it is followed to another azimuth.
@@ -245,11 +248,10 @@ def trace_ranges(outline: Outline, azimuth: Float[Array, "slab"], scene: Scene) 
     ranges = jnp.where(ends.foot, foot, jnp.sqrt(1 + tau * tau) / s)
     # Where a facet ends at its own edge that edge's range is exact, and stays so for one that is seen edge-on.
     own = on_object & (ends.kind == EDGE) & (ends.source == ends.surface) & ~ends.foot
-    ranges = jnp.where(own, edge_range, ranges)
-    return ranges.reshape(-1, 4, half // 2)
+    return jnp.where(own, edge_range, ranges)
 
 
-def facet_width(ends: Ends, azimuth: Float[Array, "slab"], scene: Scene) -> Float[Array, "slab item"]:
+def facet_width(outline: Outline, azimuth: Float[Array, "slab"], scene: Scene) -> Float[Array, "slab end"]:
     """Azimuth [rad] over which each end can be followed: the lesser width of its edge and its surface, seen from above.
 
     Only ends on the object have a surface of their own; those of stretches lie on the floor.
@@ -261,10 +263,11 @@ def facet_width(ends: Ends, azimuth: Float[Array, "slab"], scene: Scene) -> Floa
         aside = (c * points[..., 1] - s * points[..., 0]) / ahead
         return aside.max(-1) - aside.min(-1)
 
+    ends = outline.ends
     corners = corners_of(scene, ends.source)
     edge = jnp.stack([_corner(corners, ends.edge), _corner(corners, (ends.edge + 1) % 3)], axis=-2)
     surface = around(corners_of(scene, ends.surface))
-    on_object = jnp.arange(surface.shape[1]) < surface.shape[1] // 2
+    on_object = jnp.arange(surface.shape[1]) < 2 * outline.runs.shape[1]
     width = jnp.where(on_object, surface, jnp.inf)
     return jnp.where(ends.kind == EDGE, jnp.minimum(width, around(edge)), width)
 

@@ -13,7 +13,11 @@ from sonarjax.scene import Mesh
 from sonarjax.sonar import Sonar
 
 MARGIN_BEAMS, MARGIN_BINS = 3, 12  # around the union of all yaws; wider margins lower the correlation
-ROW_STEP, COLUMN_STEP = 64, 8  # window sizes are rounded up to these, so that neighbours share compiled code
+ROW_STEP, COLUMN_STEP, OBJECT_STEP = (
+    64,
+    8,
+    4,
+)  # window sizes are rounded up to these, so that neighbours share compiled code
 
 
 def window_shape(mesh: Mesh, sonar: Sonar, ground_range: float, slack: float = 0.0) -> tuple[int, int]:
@@ -24,17 +28,24 @@ def window_shape(mesh: Mesh, sonar: Sonar, ground_range: float, slack: float = 0
     reach = mesh.radius + slack
     near, far = _slant_extent(mesh, sonar, ground_range, slack)
     rows = math.ceil((far - near) / float(sonar.range_bin)) + 2 * MARGIN_BINS + 4
-    columns = (
-        math.ceil(_azimuth_width(mesh, sonar, ground_range, reach) / float(_spacing(sonar).min()))
-        + 2 * MARGIN_BEAMS
-        + 2
-    )
+    columns = math.ceil(_azimuth_width(mesh, sonar, ground_range, reach) / _spacing(sonar)) + 2 * MARGIN_BEAMS + 2
     rows, columns = -(-rows // ROW_STEP) * ROW_STEP, -(-columns // COLUMN_STEP) * COLUMN_STEP
     return min(max(rows, ROW_STEP), sonar.n_ranges), min(columns, sonar.n_beams)
 
 
-def _spacing(sonar: Sonar) -> np.ndarray:
-    return np.diff(np.asarray(sonar.azimuth_edges))
+def object_columns(mesh: Mesh, sonar: Sonar, ground_range: float, slack: float = 0.0) -> int:
+    """Beams that the object itself touches at `ground_range` [m] or up to `slack` [m] around it, at most.
+
+    `sonar` must hold concrete numbers.
+    """
+    width = _azimuth_width(mesh, sonar, ground_range, mesh.radius + slack)
+    columns = math.ceil(width / _spacing(sonar)) + 2
+    return min(-(-columns // OBJECT_STEP) * OBJECT_STEP, sonar.n_beams)
+
+
+def _spacing(sonar: Sonar) -> float:
+    """Least angle [rad] between neighbouring beams."""
+    return float(np.diff(np.asarray(sonar.azimuth)).min())
 
 
 def _azimuth_width(mesh: Mesh, sonar: Sonar, ground_range: float, reach: float) -> float:

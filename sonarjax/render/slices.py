@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int
@@ -23,21 +24,29 @@ class Slabs(NamedTuple):
     width: Float[Array, "slab"]
     """Width of each slab [rad]; may be zero."""
     weights: Float[Array, "beam slab"]
-    """Share of each beam's width that a slab makes up; a row sums to 1."""
+    """Share of each beam's width that a slab makes up; the row of a divided beam sums to 1."""
 
 
-def make_slabs(azimuth_edges: Float[Array, "edge"], events: Float[Array, "event"], sub_beams: int) -> Slabs:
-    """Slabs between beam edges (edge,) [rad], `sub_beams` even parts of each, and event azimuths (event,) [rad]."""
-    width = jnp.diff(azimuth_edges)
+def make_slabs(
+    azimuth_edges: Float[Array, "edge"], events: Float[Array, "event"], sub_beams: int, columns: int | None = None
+) -> Slabs:
+    """Slabs between beam edges (edge,) [rad], `sub_beams` even parts of each, and event azimuths (event,) [rad].
+
+    With `columns`, only so many beams are divided, from the one of the first event on: the object touches no others.
+    """
+    beams = len(azimuth_edges) - 1
+    divided = beams if columns is None else min(columns, beams)
+    fixed_edges, first_event = stop_gradient((azimuth_edges, events.min()))
+    first = jnp.clip((fixed_edges <= first_event).sum() - 1, 0, beams - divided)
+    edges = jax.lax.dynamic_slice(azimuth_edges, (first,), (divided + 1,))
     parts = jnp.arange(sub_beams, dtype=jnp.float32) / sub_beams
-    inner = (azimuth_edges[:-1, None] + width[:, None] * parts).reshape(-1)
-    inside = jnp.clip(events, azimuth_edges[0], azimuth_edges[-1])
-    bounds = jnp.concatenate([inner, azimuth_edges[-1:], inside])
+    inner = (edges[:-1, None] + jnp.diff(edges)[:, None] * parts).reshape(-1)
+    bounds = jnp.concatenate([inner, edges[-1:], jnp.clip(events, edges[0], edges[-1])])
     bounds = bounds[jnp.argsort(stop_gradient(bounds))]
     middle, slab_width = (bounds[1:] + bounds[:-1]) / 2, jnp.diff(bounds)
     fixed = stop_gradient(middle)
     inside_beam = (fixed >= azimuth_edges[:-1, None]) & (fixed < azimuth_edges[1:, None])
-    return Slabs(middle, slab_width, jnp.where(inside_beam, slab_width / width[:, None], 0.0))
+    return Slabs(middle, slab_width, jnp.where(inside_beam, slab_width / jnp.diff(azimuth_edges)[:, None], 0.0))
 
 
 def event_azimuths(vertices: Float[Array, "vertex 3"], crease: Int[Array, "event"]) -> Float[Array, "event_and_ends"]:

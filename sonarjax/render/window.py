@@ -50,6 +50,8 @@ class Window(NamedTuple):
     """First beam."""
     shape: tuple[int, int]
     """Number of (range, beam) pixels."""
+    object_columns: int | None = None
+    """Upper bound of the beams that the object itself touches; None for all. Only they are looked at."""
 
 
 class Layers(NamedTuple):
@@ -112,12 +114,15 @@ def render_window(mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, sub_beam
     rows, columns = window.shape
     azimuth_edges = _columns(jnp.asarray(sonar.azimuth_edges), window.column, columns + 1)
     azimuth = _columns(jnp.asarray(sonar.azimuth), window.column, columns)
-    slabs = make_slabs(azimuth_edges, event_azimuths(scene.vertices, mesh.crease), sub_beams)
+    events = event_azimuths(scene.vertices, mesh.crease)
+    slabs = make_slabs(azimuth_edges, events, sub_beams, window.object_columns)
     visible = find_visible(mesh, scene, slabs, sonar, elevations)
     edges = sonar.range_min + sonar.range_bin * (window.row + jnp.arange(rows + 1, dtype=jnp.float32))
     middle, half = _swept_ends(visible.outline, slabs, scene, sonar, edges)
-    highlight = _highlight(visible.outline, middle[:, :2], half[:, :2], slabs, sonar, rows)
-    shadow = _per_beam(slabs, covered(middle[:, 2:], half[:, 2:], visible.outline.stretches, rows))
+    on_object = 2 * visible.outline.runs.shape[1]
+    highlight = _highlight(visible.outline, middle[:, :on_object], half[:, :on_object], slabs, sonar, rows)
+    hidden = covered(_pairs(middle[:, on_object:]), _pairs(half[:, on_object:]), visible.outline.stretches, rows)
+    shadow = _per_beam(slabs, hidden)
     ends = all_ends(visible.pieces, visible.segments, visible.table)
     echo = _per_beam(slabs, object_energy(ends, slabs, scene, sonar, elevations, edges))
     floor = patch_lit(azimuth, scene, sonar, edges)
@@ -134,34 +139,40 @@ def _per_beam(slabs: Slabs, values: Float[Array, "slab range"]) -> Float[Array, 
     return (slabs.weights @ values).T
 
 
+def _pairs(ends: Float[Array, "slab end"]) -> Float[Array, "slab 2 item"]:
+    return ends.reshape(len(ends), 2, -1)
+
+
 def _swept_ends(
     outline: Outline, slabs: Slabs, scene: Scene, sonar: Sonar, edges: Float[Array, "edge"]
-) -> tuple[Float[Array, "slab four item"], Float[Array, "slab four item"]]:
+) -> tuple[Float[Array, "slab end"], Float[Array, "slab end"]]:
     """Ranges [bins] of the outline's ends in the middle of each slab, and half of what they move by across it."""
+    on_object = jnp.arange(outline.ends.tau.shape[1]) < 2 * outline.runs.shape[1]
 
-    def bins(azimuth: Float[Array, "slab"]) -> Float[Array, "slab four item"]:
+    def bins(azimuth: Float[Array, "slab"]) -> Float[Array, "slab end"]:
         ranges = trace_ranges(outline, azimuth, scene)
-        start, stop = patch_span(azimuth, scene, sonar)
-        hidden = jnp.clip(ranges[:, 2:], start[..., None], stop[..., None])  # only a floor that is there is hidden
-        return (jnp.concatenate([ranges[:, :2], hidden], axis=1) - edges[0]) / sonar.range_bin
+        if sonar.floor is not None:  # only a floor that is there is hidden
+            ranges = jnp.where(on_object, ranges, jnp.clip(ranges, *patch_span(azimuth, scene, sonar)))
+        return (ranges - edges[0]) / sonar.range_bin
 
     middle, slope = jax.jvp(bins, (slabs.middle,), (jnp.ones_like(slabs.middle),))
     # A facet narrower than the slab is followed only as far as it reaches, or as a surface of STEEPEST would be.
-    half_width = (slabs.width / 2)[:, None, None]
-    reach = facet_width(outline.ends, slabs.middle, scene).reshape(slope.shape)
+    half_width = (slabs.width / 2)[:, None]
+    reach = facet_width(outline, slabs.middle, scene)
     steep = STEEPEST * (middle + edges[0] / sonar.range_bin) / jnp.maximum(jnp.abs(slope), 1e-6)
     return middle, slope * stop_gradient(jnp.minimum(half_width, jnp.maximum(reach, steep * half_width)))
 
 
 def _highlight(
     outline: Outline,
-    middle: Float[Array, "slab 2 item"],
-    half: Float[Array, "slab 2 item"],
+    middle: Float[Array, "slab end"],
+    half: Float[Array, "slab end"],
     slabs: Slabs,
     sonar: Sonar,
     rows: int,
 ) -> Float[Array, "range beam"]:
     """Share of each pixel's range cell that first hits cover; a run is no shorter than the pulse (at least a bin)."""
+    middle, half = _pairs(middle), _pairs(half)
     pulse = jnp.maximum(jnp.asarray(sonar.pulse_length, jnp.float32) / sonar.range_bin, 1.0)
     short = (middle[:, 1] - middle[:, 0] < pulse)[:, None]
     grown = middle.mean(axis=1, keepdims=True) + pulse * jnp.array([[-0.5], [0.5]])

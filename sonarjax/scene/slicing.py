@@ -41,9 +41,7 @@ def _deepest_overlap(starts: np.ndarray, ends: np.ndarray) -> int:
     return int(np.cumsum(steps[order]).max(initial=0))
 
 
-def most_front(
-    vertices: Float[np.ndarray, "vertex 3"], faces: Int[np.ndarray, "face 3"], directions: int = 256
-) -> int:
+def most_front(vertices: Float[np.ndarray, "vertex 3"], faces: Int[np.ndarray, "face 3"], directions: int = 256) -> int:
     """Triangles of a closed surface that look towards one point, at most, over sampled directions, and 10 % more.
 
     Vertices (vertex, 3) [m]. The directions lie on a Fibonacci spiral, so any roll and pitch is among them.
