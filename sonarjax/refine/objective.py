@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
@@ -16,6 +17,8 @@ from sonarjax.scene import Mesh, Pose
 from sonarjax.sonar import Sonar
 
 SMALL = 1e-9
+BEAMS_PER_BIN = 0.4  # a beam is about 2.5 bins wide at the ranges of §4.1: the blur is round on the floor
+ROW_STRIDE = 2  # every second row of a blurred image holds all of it
 
 
 class Problem(NamedTuple):
@@ -25,34 +28,50 @@ class Problem(NamedTuple):
     """The window of the frame, any grey scale."""
     weight: Float[Array, "range beam"]
     """1 where the pixel was measured, else 0."""
-    mesh: Mesh
-    sonar: Sonar
     start: Pose
     """Where the search starts; its z, roll and pitch are kept."""
-    row: Array
-    """First row of the window in the frame."""
-    column: Array
-    """First column of the window in the frame."""
+    window: Window
+    """Which part of the frame that is."""
 
 
-def moved(start: Pose, step: Float[Array, "3"], bounds: Float[Array, "3"]) -> Pose:
-    """The pose `step` away from `start`: (yaw, x, y) = start + bounds·tanh(step), so that the search is bounded."""
-    delta = bounds * jnp.tanh(step)
-    return Pose(start.x + delta[1], start.y + delta[2], start.yaw + delta[0], start.z, start.roll, start.pitch)
+class Blur(NamedTuple):
+    """A Gaussian blur as two matrices, whose rows sum to 1."""
+
+    along: Float[Array, "row range"]
+    across: Float[Array, "beam beam"]
+
+    def __call__(self, image: Float[Array, "*batch range beam"]) -> Float[Array, "*batch row beam"]:
+        """The blurred image, every ROW_STRIDE-th row of it."""
+        return self.along @ image @ self.across.T
 
 
-def template(problem: Problem, pose: Pose, sub_beams: int) -> Float[Array, "range beam"]:
-    """The semantic image of the problem's window at `pose`."""
-    rows, columns = problem.image.shape
-    window = Window(problem.row, problem.column, (rows, columns))
-    return semantic_window(problem.mesh, pose, problem.sonar, window, sub_beams, 64)
+def make_blur(shape: tuple[int, int], sigma: Float[Array, ""] | float) -> Blur:
+    """The blur of a window of `shape` (range, beam) with standard deviation `sigma` [range bins], round on the floor."""
+    rows, columns = shape
+
+    def kernel(at: Array, size: int, sigma: Array) -> Array:
+        weights = jnp.exp(-0.5 * ((at[:, None] - jnp.arange(size)) / sigma) ** 2)
+        return weights / weights.sum(axis=1, keepdims=True)
+
+    sigma = jnp.asarray(sigma, jnp.float32)
+    along = kernel(jnp.arange(0, rows, ROW_STRIDE), rows, sigma)
+    return Blur(along, kernel(jnp.arange(columns), columns, sigma * BEAMS_PER_BIN))
 
 
-def blur_matrix(size: int, sigma: Float[Array, ""]) -> Float[Array, "size size"]:
-    """Gaussian blur along one axis as a matrix whose rows sum to 1; `sigma` in pixels."""
-    distance = jnp.arange(size)[:, None] - jnp.arange(size)
-    kernel = jnp.exp(-0.5 * (distance / sigma) ** 2)
-    return kernel / kernel.sum(axis=1, keepdims=True)
+def pose_at(start: Pose, step: Float[Array, "3"]) -> Pose:
+    """`start` moved by `step` = (yaw [rad], x [m], y [m])."""
+    return Pose(start.x + step[1], start.y + step[2], start.yaw + step[0], start.z, start.roll, start.pitch)
+
+
+def draw_with_slope(
+    problem: Problem, mesh: Mesh, sonar: Sonar, step: Float[Array, "3"], sub_beams: int
+) -> tuple[Float[Array, "range beam"], Float[Array, "3 range beam"]]:
+    """The window's semantic image at `step` from the start, and its derivatives by yaw, x and y (forward mode)."""
+
+    def draw(step: Array) -> Array:
+        return semantic_window(mesh, pose_at(problem.start, step), sonar, problem.window, sub_beams, 64)
+
+    return jax.vmap(lambda along: jax.jvp(draw, (step,), (along,)), out_axes=(None, 0))(jnp.eye(3))
 
 
 def normalised(image: Float[Array, "range beam"], weight: Float[Array, "range beam"]) -> Float[Array, "range beam"]:
@@ -60,24 +79,6 @@ def normalised(image: Float[Array, "range beam"], weight: Float[Array, "range be
     total = jnp.maximum(weight.sum(), SMALL)
     centred = (image - (image * weight).sum() / total) * weight
     return centred / jnp.sqrt((centred**2).sum() + SMALL)
-
-
-def residuals(
-    step: Float[Array, "3"], problem: Problem, bounds: Float[Array, "3"], sigma: Float[Array, ""], sub_beams: int
-) -> Float[Array, "pixel"]:
-    """Difference (pixel,) of the blurred, normalised template and image: half their squared sum is 1 − NCC."""
-    rows, columns = problem.image.shape
-    along, across = blur_matrix(rows, sigma), blur_matrix(columns, sigma * BEAMS_PER_BIN)
-    drawn = template(problem, moved(problem.start, step, bounds), sub_beams)
-
-    def view(image: Array) -> Array:
-        filled = image * problem.weight
-        return normalised(along @ filled @ across.T, problem.weight)
-
-    return (view(drawn - 0.5) - view(problem.image)).reshape(-1)
-
-
-BEAMS_PER_BIN = 0.4  # a beam is about 2.5 bins wide at the ranges of §4.1: the blur is round on the floor
 
 
 def crop_score(

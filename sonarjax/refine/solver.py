@@ -1,44 +1,84 @@
-"""Levenberg–Marquardt over a ladder of blurs (the only importer of jaxopt)."""
+"""Levenberg–Marquardt over a ladder of blurs (the only importer of jaxopt).
+
+The template is rendered once an iteration, with its derivatives; in between, jaxopt minimises 1 − NCC of the template's
+linear model inside a trust region, which costs next to nothing beside a render.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.lax import stop_gradient
 from jaxopt import LevenbergMarquardt
 from jaxtyping import Array, Float
 
+from sonarjax.refine.objective import ROW_STRIDE, Blur, Problem, draw_with_slope, make_blur, normalised
+from sonarjax.scene import Mesh
+from sonarjax.sonar import Sonar
+
+TRUST = (0.12, 0.02, 0.02)  # largest step in yaw [rad], x and y [m] at which the linear model is believed
+INNER_STEPS = 4
+
+
+class Found(NamedTuple):
+    """The best of the iterations at the finest blur."""
+
+    cost: Float[Array, ""]
+    """1 − NCC of the blurred images."""
+    step: Float[Array, "3"]
+    """Yaw [rad], x [m] and y [m] from the start."""
+    template: Float[Array, "range beam"]
+    """The window's semantic image there."""
+    slope: Float[Array, "3 range beam"]
+    """Its derivatives by yaw, x and y."""
+    remaining: Float[Array, "3"]
+    """The step that the linear model would still take from there, as a share of the trust region."""
+
 
 def coarse_to_fine(
-    residuals: Callable[..., Float[Array, "pixel"]],
-    start: Float[Array, "parameter"],
-    blurs: Float[Array, "level"],
-    iterations: int,
-    *args: Any,
-) -> tuple[Float[Array, "parameter"], Float[Array, ""]]:
-    """Minimise Σ residuals(p, *args, blur)² for each blur in turn, each from where the last one ended.
+    problem: Problem, mesh: Mesh, sonar: Sonar, bounds: Float[Array, "3"], blurs: tuple[float, ...], iterations: int, sub_beams: int,
+) -> Found:  # fmt: skip
+    """Minimise 1 − NCC for each blur [range bins] in turn, `iterations` times each, within `bounds` [rad, m, m]."""
+    shape = problem.image.shape
+    made = [make_blur(shape, sigma) for sigma in blurs]
+    ladder = jax.tree.map(lambda *v: jnp.stack(v), *made)
+    level = jnp.repeat(jnp.arange(len(blurs)), iterations)
+    # One more look at the last place reached: it may be the best.
+    level = jnp.append(level, len(blurs) - 1)
 
-    Returns the parameters (parameter,) and the size of the Gauss–Newton step still to go at the finest level.
-    """
+    def iterate(carry: tuple[Array, Found], level: Array) -> tuple[tuple[Array, Found], None]:
+        step, best = carry
+        blur = jax.tree.map(lambda v: v[level], ladder)
+        drawn, slope = draw_with_slope(problem, mesh, sonar, step, sub_beams)
+        move, cost = _linear_step(problem, blur, drawn, slope)
+        here = Found(cost, step, drawn, slope, move / jnp.asarray(TRUST))
+        better = (level == len(blurs) - 1) & (cost < best.cost)
+        best = jax.tree.map(lambda new, old: jnp.where(better, new, old), here, best)
+        return (jnp.clip(step + move, -bounds, bounds), best), None
+
+    none = Found(jnp.inf, jnp.zeros(3), jnp.full(shape, 0.5), jnp.zeros((3, *shape)), jnp.ones(3))
+    (_, best), _ = jax.lax.scan(iterate, (jnp.zeros(3), none), level)
+    return best
+
+
+def _linear_step(problem: Problem, blur: Blur, drawn: Array, slope: Array) -> tuple[Array, Array]:
+    """The step (yaw, x, y) that fits the template's linear model best inside the trust region, and 1 − NCC before it."""
+    weight = problem.weight[::ROW_STRIDE]
+    seen = normalised(blur(problem.image * problem.weight), weight)
+    trust = jnp.asarray(TRUST)
+    centred = jnp.concatenate([(drawn - 0.5)[None], slope * trust[:, None, None]]) * problem.weight
+    now, *change = blur(stop_gradient(centred))
+
+    def residuals(parameters: Float[Array, "3"]) -> Float[Array, "pixel"]:
+        share = jnp.tanh(parameters)
+        moved = now + sum(share[k] * change[k] for k in range(3))
+        return (normalised(moved, weight) - seen).reshape(-1)
+
     solver = LevenbergMarquardt(
-        residuals,
-        maxiter=iterations,
-        damping_parameter=1e-3,
-        tol=1e-6,
-        xtol=1e-5,
-        gtol=1e-6,
-        solver="cholesky",
-        materialize_jac=True,
-        implicit_diff=False,
-        jit=True,
-        unroll=False,
-    )
-
-    def level(parameters: Array, blur: Array) -> tuple[Array, Array]:
-        found, state = solver.run(parameters, *args, blur)
-        return found, jnp.abs(jnp.linalg.solve(state.jtj + 1e-6 * jnp.eye(len(found)), state.gradient)).max()
-
-    found, steps = jax.lax.scan(level, start, blurs)
-    return found, steps[-1]
+        residuals, maxiter=INNER_STEPS, damping_parameter=1e-3, tol=1e-6, xtol=1e-5, gtol=1e-6, solver="cholesky",
+        materialize_jac=True, implicit_diff=False, jit=True, unroll=False,
+    )  # fmt: skip
+    found, _ = solver.run(jnp.zeros(3))
+    return jnp.tanh(found) * trust, (residuals(jnp.zeros(3)) ** 2).sum() / 2

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import jax
@@ -13,9 +12,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.refine.objective import Problem, crop_score, moved, normalised, residuals, template
-from sonarjax.refine.solver import coarse_to_fine
-from sonarjax.render import place_window, window_shape
+from sonarjax._cores import SINGLE_CORE, on_all_cores
+from sonarjax.refine.objective import Problem, crop_score, normalised, pose_at
+from sonarjax.refine.solver import Found, coarse_to_fine
+from sonarjax.render import Window, object_columns, place_window, window_shape
 from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS
 from sonarjax.scene import Mesh, Pose
 from sonarjax.sonar import Sonar
@@ -27,7 +27,7 @@ BLURS_PX = (8.0, 2.0)
 ITERATIONS = 5
 SUB_BEAMS = 1
 SLACK_M = 0.06
-CONVERGED_STEP = 2e-3
+CONVERGED_SHARE = 0.05  # of the trust region: a step still to go that counts as none
 
 
 @jax.tree_util.register_dataclass
@@ -84,85 +84,78 @@ def refine_yaw(
     weight = jnp.ones(image.shape) if mask is None else jnp.asarray(mask, jnp.float32)
     if weight.shape != image.shape:
         raise SonarjaxError(f"mask: expected the image's shape {image.shape}, got {weight.shape}")
-    shape = _window_size(mesh, sonar, start)
     start = jax.tree.map(lambda v: jnp.asarray(v, jnp.float32), start)
     axes = jnp.broadcast_shapes(*(v.shape for v in jax.tree.leaves(start)))
-    start = jax.tree.map(lambda v: jnp.broadcast_to(v, axes), start)
     frames = image.ndim - 2
     if len(axes) not in (frames, frames + 1) or axes[:frames] != image.shape[:frames]:
         raise SonarjaxError(f"start: expected one pose (or one axis of poses) for each image, got shape {axes}")
-    settings = (jnp.asarray(bounds, jnp.float32), jnp.asarray(blurs, jnp.float32))
-    return _refine(image, weight, mesh, sonar, start, settings, shape, iterations, sub_beams)
+    shape, beams = _window_size(mesh, sonar, start, bounds)
+    # One long list of frames and starts, so that every core has its share.
+    starts = jax.tree.map(lambda v: jnp.broadcast_to(v, axes).reshape(-1), start)
+    count = math.prod(axes)
+    which = jnp.arange(count) // max(count // max(math.prod(axes[:frames]), 1), 1)
+    stack = tuple(v.reshape(-1, *sonar.shape) for v in (image, weight))
+    settings = (jnp.asarray(bounds, jnp.float32), shape, beams, tuple(blurs), iterations, sub_beams)
+    traced = any(isinstance(v, jax.core.Tracer) for v in jax.tree.leaves((stack, starts, mesh, sonar)))
+    refine = _refine if traced else _refine_compiled  # compiler options are for the outermost function only
+    found = on_all_cores(lambda part: refine(*stack, mesh, sonar, *part, *settings), (which, starts))
+    return jax.tree.map(lambda v: v.reshape(axes), found)
 
 
-def _window_size(mesh: Mesh, sonar: Sonar, start: Pose) -> tuple[int, int]:
-    """The window that holds every start; the whole frame where the start is not known before compilation."""
+def _window_size(mesh: Mesh, sonar: Sonar, start: Pose, bounds: tuple[float, ...]) -> tuple[tuple[int, int], int]:
+    """The window that holds every start and the beams that the object may touch; the frame's where tracing hides them."""
     if any(isinstance(v, jax.core.Tracer) for v in jax.tree.leaves((start, sonar))):
-        return sonar.shape
+        return sonar.shape, sonar.n_beams
     ground = np.hypot(np.asarray(start.x), np.asarray(start.y))
+    nearest = max(float(ground.min()) - max(bounds[1:]), 0.0)
     shapes = [window_shape(mesh, sonar, float(g), SLACK_M) for g in (ground.min(), ground.max())]
     rows, columns = max(s[0] for s in shapes), max(s[1] for s in shapes)
     # Coarse steps: compiling the solver for another window costs far more than a few empty pixels.
-    return min(-(-rows // 128) * 128, sonar.n_ranges), min(-(-columns // 16) * 16, sonar.n_beams)
+    shape = min(-(-rows // 128) * 128, sonar.n_ranges), min(-(-columns // 16) * 16, sonar.n_beams)
+    return shape, min(-(-object_columns(mesh, sonar, nearest) // 16) * 16, sonar.n_beams)
 
 
-@partial(jax.jit, static_argnames=("shape", "iterations", "sub_beams"))
 def _refine(
-    image: Array, weight: Array, mesh: Mesh, sonar: Sonar, start: Pose, settings: tuple[Array, Array],
-    shape: tuple[int, int], iterations: int, sub_beams: int,
+    images: Array, weights: Array, mesh: Mesh, sonar: Sonar, which: Array, starts: Pose, bounds: Array,
+    shape: tuple[int, int], beams: int, blurs: tuple[float, ...], iterations: int, sub_beams: int,
 ) -> YawEstimate:  # fmt: skip
-    def one(frame: Array, measured: Array, pose: Pose) -> YawEstimate:
-        return _refine_one(frame, measured, mesh, sonar, pose, settings, shape, iterations, sub_beams)
+    def one(job: tuple[Array, Pose]) -> YawEstimate:
+        frame, start = job
+        window = place_window(shape, mesh, sonar, start.x, start.y, SLACK_M)
+        corner = (frame, window.row, window.column)
+        part, measured = (jax.lax.dynamic_slice(v, corner, (1, *shape))[0] for v in (images, weights))
+        problem = Problem(part, measured, start, Window(window.row, window.column, shape, beams))
+        return _estimate(problem, coarse_to_fine(problem, mesh, sonar, bounds, blurs, iterations, sub_beams), bounds)
 
-    def hypotheses(frame: Array, measured: Array, poses: Pose) -> YawEstimate:
-        if poses.yaw.ndim == 0:
-            return one(frame, measured, poses)
-        return jax.vmap(lambda pose: one(frame, measured, pose))(poses)
-
-    if image.ndim == 2:
-        return hypotheses(image, weight, start)
     # One after another on a CPU, where a batch would only spill the caches; side by side on an accelerator.
-    side_by_side = 1 if jax.default_backend() == "cpu" else len(image)
-    return jax.lax.map(lambda args: hypotheses(*args), (image, weight, start), batch_size=side_by_side)
+    side_by_side = None if jax.default_backend() == "cpu" else len(which)
+    return jax.lax.map(one, (which, starts), batch_size=side_by_side)
 
 
-def _refine_one(
-    image: Array, weight: Array, mesh: Mesh, sonar: Sonar, start: Pose, settings: tuple[Array, Array],
-    shape: tuple[int, int], iterations: int, sub_beams: int,
-) -> YawEstimate:  # fmt: skip
-    bounds, blurs = settings
-    window = place_window(shape, mesh, sonar, start.x, start.y, SLACK_M)
-    corner = (window.row, window.column)
-    part, measured = (jax.lax.dynamic_slice(v, corner, shape) for v in (image, weight))
-    problem = Problem(part, measured, mesh, sonar, start, jnp.asarray(corner[0]), jnp.asarray(corner[1]))
-
-    def difference(step: Array, problem: Problem, bounds: Array, blur: Array) -> Array:
-        return residuals(step, problem, bounds, blur, sub_beams)
-
-    step, last = coarse_to_fine(difference, jnp.zeros(3), blurs, iterations, problem, bounds)
-    pose = moved(start, step, bounds)
-    drawn = template(problem, pose, sub_beams)
-    score = crop_score(part, drawn, measured, (MARGIN_BINS, MARGIN_BEAMS))
-    inside = (jnp.abs(jnp.tanh(step)) < 0.98).all()
-    std = _yaw_std(problem, pose, drawn, sub_beams)
-    converged = inside & (last < CONVERGED_STEP) & jnp.isfinite(score)
-    return YawEstimate(pose.yaw % (2 * jnp.pi), pose.x, pose.y, std, score, converged)
+_refine_compiled = jax.jit(
+    _refine,
+    static_argnames=("shape", "beams", "blurs", "iterations", "sub_beams"),
+    compiler_options=SINGLE_CORE,
+)
 
 
-def _yaw_std(problem: Problem, pose: Pose, drawn: Array, sub_beams: int) -> Array:
+def _estimate(problem: Problem, found: Found, bounds: Array) -> YawEstimate:
+    pose = pose_at(problem.start, found.step)
+    score = crop_score(problem.image, found.template, problem.weight, (MARGIN_BINS, MARGIN_BEAMS))
+    inside = (jnp.abs(found.step) < 0.98 * bounds).all()
+    converged = inside & (jnp.abs(found.remaining).max() < CONVERGED_SHARE) & jnp.isfinite(score)
+    return YawEstimate(pose.yaw % (2 * jnp.pi), pose.x, pose.y, _yaw_std(problem, found), score, converged)
+
+
+def _yaw_std(problem: Problem, found: Found) -> Array:
     """Square root of the yaw entry of σ²(JᵀJ)⁻¹, J and σ of the unblurred image fitted by gain·template + offset."""
-
-    def draw(values: Array) -> Array:
-        moved_pose = Pose(values[1], values[2], values[0], pose.z, pose.roll, pose.pitch)
-        return template(problem, moved_pose, sub_beams).reshape(-1)
-
-    weight = problem.weight.reshape(-1)
-    jacobian = jax.jacfwd(draw)(jnp.stack([pose.yaw, pose.x, pose.y])) * weight[:, None]
-    fitted, seen = normalised(drawn, problem.weight), normalised(problem.image, problem.weight)
+    weight, drawn = problem.weight, found.template
+    jacobian = (found.slope * weight).reshape(3, -1)
+    fitted, seen = normalised(drawn, weight), normalised(problem.image, weight)
     gain = (fitted * seen).sum()
     left = ((seen - gain * fitted) ** 2).sum() / jnp.maximum(weight.sum() - 5, 1.0)
-    scale = gain / jnp.sqrt(((drawn - drawn.mean()) ** 2 * problem.weight).sum() + 1e-9)
-    information = (jacobian.T @ jacobian) * scale**2
+    scale = gain / jnp.sqrt(((drawn - drawn.mean()) ** 2 * weight).sum() + 1e-9)
+    information = (jacobian @ jacobian.T) * scale**2
     ridge = 1e-6 * jnp.trace(information) + 1e-12
     covariance = jnp.linalg.inv(information + ridge * jnp.eye(3)) * left
     return jnp.sqrt(jnp.maximum(covariance[0, 0], 0.0))

@@ -100,7 +100,7 @@ def _render_views(
     mesh: Mesh, sonar: Sonar, yaws: Any, x: Any, y: Any, corner: Any,
     shape: tuple[int, int], beams: int, sub_beams: int, elevations: int,
 ) -> Float[Array, "yaw range beam"]:  # fmt: skip
-    window = Window(*corner, shape, beams)
+    window = Window(corner[0], corner[1], shape, beams)
 
     def one(yaw: Array) -> Array:
         return semantic_window(mesh, Pose(x, y, yaw), sonar, window, sub_beams, elevations)
