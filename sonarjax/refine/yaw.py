@@ -22,10 +22,11 @@ from sonarjax.sonar import Sonar
 
 BOUNDS = (math.radians(40.0), 0.15, 0.15)
 """Largest change of yaw [rad], x [m] and y [m] from the start."""
-BLURS_PX = (8.0, 2.0)
+BLURS_PX = (8.0, 2.0, 0.8)
 """Standard deviations of the blur in range bins, coarse to fine: the coarse ones widen the basin."""
-ITERATIONS = 5
+ITERATIONS = 4
 SUB_BEAMS = 1
+SHARPNESS = 10.0
 SLACK_M = 0.06
 CONVERGED_SHARE = 0.05  # of the trust region: a step still to go that counts as none
 
@@ -68,13 +69,15 @@ def refine_yaw(
     blurs: tuple[float, ...] = BLURS_PX,
     iterations: int = ITERATIONS,
     sub_beams: int = SUB_BEAMS,
+    sharpness: float = SHARPNESS,
 ) -> YawEstimate:
     """Refine yaw, x and y of the object from `start` by Levenberg–Marquardt on 1 − NCC of the rendered template.
 
     `image` (range, beam) is the semantic image, or any grey one in which highlight is brighter than shadow; with a
     leading batch axis, `start` holds one pose a frame. A start whose fields have one more axis holds several
     hypotheses a frame, and the estimate keeps that axis. `mask`, of the image's shape, is true where a pixel was
-    measured. `bounds` are the largest changes of yaw [rad], x and y [m].
+    measured. `bounds` are the largest changes of yaw [rad], x and y [m]. `sharpness` is for images of labels, where a
+    pixel is of one class or another; 0 fits a grey image, which mixes them.
 
     Raises SonarjaxError when the shapes do not fit the sonar.
     """
@@ -95,7 +98,15 @@ def refine_yaw(
     count = math.prod(axes)
     which = jnp.arange(count) // max(count // max(math.prod(axes[:frames]), 1), 1)
     stack = tuple(v.reshape(-1, *sonar.shape) for v in (image, weight))
-    settings = (jnp.asarray(bounds, jnp.float32), shape, beams, tuple(blurs), iterations, sub_beams)
+    settings = (
+        jnp.asarray(bounds, jnp.float32),
+        jnp.float32(sharpness),
+        shape,
+        beams,
+        tuple(blurs),
+        iterations,
+        sub_beams,
+    )
     traced = any(isinstance(v, jax.core.Tracer) for v in jax.tree.leaves((stack, starts, mesh, sonar)))
     refine = _refine if traced else _refine_compiled  # compiler options are for the outermost function only
     found = on_all_cores(lambda part: refine(*stack, mesh, sonar, *part, *settings), (which, starts))
@@ -116,7 +127,7 @@ def _window_size(mesh: Mesh, sonar: Sonar, start: Pose, bounds: tuple[float, ...
 
 
 def _refine(
-    images: Array, weights: Array, mesh: Mesh, sonar: Sonar, which: Array, starts: Pose, bounds: Array,
+    images: Array, weights: Array, mesh: Mesh, sonar: Sonar, which: Array, starts: Pose, bounds: Array, sharpness: Array,
     shape: tuple[int, int], beams: int, blurs: tuple[float, ...], iterations: int, sub_beams: int,
 ) -> YawEstimate:  # fmt: skip
     def one(job: tuple[Array, Pose]) -> YawEstimate:
@@ -124,7 +135,7 @@ def _refine(
         window = place_window(shape, mesh, sonar, start.x, start.y, SLACK_M)
         corner = (frame, window.row, window.column)
         part, measured = (jax.lax.dynamic_slice(v, corner, (1, *shape))[0] for v in (images, weights))
-        problem = Problem(part, measured, start, Window(window.row, window.column, shape, beams))
+        problem = Problem(part, measured, start, Window(window.row, window.column, shape, beams), sharpness)
         return _estimate(problem, coarse_to_fine(problem, mesh, sonar, bounds, blurs, iterations, sub_beams), bounds)
 
     # One after another on a CPU, where a batch would only spill the caches; side by side on an accelerator.
