@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -30,12 +30,16 @@ def on_all_cores(function: Callable[[Any], Any], batch: Any) -> Any:
     size = -(-count // parts)
     index = np.minimum(np.arange(parts * size), count - 1).reshape(parts, size)  # the last part may repeat an element
 
-    def run(rows: np.ndarray) -> Any:
-        return jax.block_until_ready(function(jax.tree.map(lambda v: v[rows], batch)))
-
-    with ThreadPoolExecutor(parts) as pool:
-        found = list(pool.map(run, index))
+    found = side_by_side(lambda rows: function(jax.tree.map(lambda v: v[rows], batch)), list(index))
     return jax.tree.map(lambda *v: jnp.concatenate(v)[:count], *found)
+
+
+def side_by_side(function: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
+    """[function(item) for item in items], with a thread for each core of a CPU; each waits for its results."""
+    if len(items) < 2 or _cores() < 2 or jax.default_backend() != "cpu":
+        return [function(item) for item in items]
+    with ThreadPoolExecutor(min(_cores(), len(items))) as pool:
+        return list(pool.map(lambda item: jax.block_until_ready(function(item)), items))
 
 
 def _cores() -> int:

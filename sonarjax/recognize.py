@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
+from sonarjax._cores import side_by_side
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.match import PreparedBank, match_positions, peaks, prepare_bank
-from sonarjax.refine import YawEstimate, refine_yaw
+from sonarjax.refine import SHARPNESS, YawEstimate, refine_yaw
 from sonarjax.render import TemplateBank, bank_place, floor_point, object_columns, template_bank, window_shape
 from sonarjax.scene import Mesh, Pose
 from sonarjax.segment import check_segmenter, segment, to_grey
@@ -19,7 +21,9 @@ from sonarjax.sonar import Sonar
 
 YAW_BINS = 36
 COARSE_EVERY = 3  # the search over distance uses every third bank and every second yaw
+MIN_VALID = 0.5  # least share of a template's pixels that were measured, where part of the frame is masked
 RANGE_STEP_M = 0.1  # templates 0.3 m off in distance lose 10 points of accuracy
+DECIMATION = 4  # range bins that are one in that search
 HYPOTHESES = 2
 SAME_YAW = math.radians(8.0)  # refined hypotheses closer than this are one
 THRESHOLDS = {"none": 0.555, "otsu": 0.618}
@@ -72,62 +76,104 @@ class Recognition:
     """The image (range, beam) that was matched."""
 
 
+class _Entry(NamedTuple):
+    """A bank and what matching keeps of it."""
+
+    bank: TemplateBank
+    prepared: PreparedBank
+
+
+class Match(NamedTuple):
+    """How well one bank matches a frame, and where."""
+
+    bank: TemplateBank
+    scores: np.ndarray
+    """NCC (yaw,) of each template."""
+    rows: int
+    """Range bins by which the best template is shifted from where it was rendered."""
+    columns: int
+    """Beams by which it is shifted."""
+
+
 class Recognizer:
     """A target and a sonar with the banks that were rendered for them so far: keep one to recognize many frames."""
 
     def __init__(self, mesh: Mesh, sonar: Sonar) -> None:
         """Banks are rendered when a frame first needs them. Raises SonarjaxError when no distance is in view."""
         self.mesh, self.sonar = mesh, sonar
-        self._banks: dict[tuple[int, bool, bool], tuple[TemplateBank, PreparedBank] | None] = {}
+        self._banks: dict[tuple[int, bool, bool], _Entry | None] = {}
         self._distances = _ground_ranges(sonar)
         near = float(self._distances[0])
         self._beams = object_columns(mesh, sonar, near)
         self._shape = (sonar.n_ranges, min(-(-window_shape(mesh, sonar, near)[1] // 16) * 16, sonar.n_beams))
 
-    def bank(self, index: int, coarse: bool, masked: bool) -> tuple[TemplateBank, PreparedBank] | None:
-        """The bank at distance `index` and its spectra; None where the object is not in view there."""
+    def bank(self, index: int, coarse: bool, masked: bool) -> _Entry | None:
+        """The bank at distance `index`, ready to be matched; None where the object is not in view there."""
         key = (index, coarse, masked)
         if key not in self._banks:
-            yaws = np.arange(0, YAW_BINS, 2 if coarse else 1) * (2 * math.pi / YAW_BINS)
-            distance = float(self._distances[index])
-            try:
-                bank = template_bank(self.mesh, self.sonar, yaws, x=distance, shape=self._shape, beams=self._beams)
-                self._banks[key] = (bank, prepare_bank(bank, self.sonar.shape, masked=masked))
-            except SonarjaxError:
-                self._banks[key] = None
+            self._banks[key] = self._render(float(self._distances[index]), coarse, masked)
         return self._banks[key]
 
-    def find(self, image: Any, mask: Any) -> tuple[TemplateBank, np.ndarray, float, float]:
-        """The bank nearest to where the target is, its scores (yaw,), and that place (x, y) [m]."""
-        best, index = -np.inf, None
-        for coarse in range(0, len(self._distances), COARSE_EVERY):
-            found = self._try(coarse, True, image, mask)
-            if found is not None and found[1].max() > best:
-                best, index = found[1].max(), self._nearest(found)
-        if index is None:
+    def _render(self, distance: float, coarse: bool, masked: bool) -> _Entry | None:
+        yaws = np.arange(0, YAW_BINS, 2 if coarse else 1) * (2 * math.pi / YAW_BINS)
+        try:
+            bank = template_bank(self.mesh, self.sonar, yaws, x=distance, shape=self._shape, beams=self._beams)
+            templates = _decimated(np.asarray(bank.templates)) if coarse else bank
+            rows = self.sonar.n_ranges // DECIMATION if coarse else self.sonar.n_ranges
+            return _Entry(bank, prepare_bank(templates, (rows, self.sonar.n_beams), masked=masked))
+        except SonarjaxError:
+            return None
+
+    def find(self, image: np.ndarray, mask: np.ndarray | None) -> Match:
+        """The best match over distances: a coarse search with fewer range bins, then banks near its best."""
+        small = _decimated(image), None if mask is None else _decimated(mask.astype(np.float32)) == 1
+        masked = mask is not None
+        indices = [k for k in range(0, len(self._distances), COARSE_EVERY) if self.bank(k, True, masked) is not None]
+        if not indices:
             raise SonarjaxError("target: at no distance inside the sonar's view is any part of it visible")
-        found = self._try(index, False, image, mask)
-        closer = self._nearest(found) if found is not None else index
-        if found is None or closer != index:
-            again = self._try(closer, False, image, mask)
-            if found is None or (again is not None and again[1].max() > found[1].max()):
-                found = again
-        if found is None:
+        found = side_by_side(lambda k: self._match(k, True, *small), indices)
+        index = self._nearest(max((m for m in found if m is not None), key=lambda m: m.scores.max()))
+        best = self._match(index, False, image, mask)
+        closer = self._nearest(best) if best is not None else index
+        if closer != index:
+            again = self._match(closer, False, image, mask)
+            best = again if best is None or (again is not None and again.scores.max() > best.scores.max()) else best
+        if best is None:
             raise SonarjaxError("target: no part of it is visible where it was found")
-        return found
+        return best
 
-    def _nearest(self, found: tuple) -> int:
-        return int(np.argmin(np.abs(self._distances - math.hypot(found[2], found[3]))))
+    def _nearest(self, match: Match) -> int:
+        return int(np.argmin(np.abs(self._distances - math.hypot(*self.place(match)))))
 
-    def _try(self, index: int, coarse: bool, image: Any, mask: Any) -> tuple | None:
+    def _match(self, index: int, coarse: bool, image: np.ndarray, mask: np.ndarray | None) -> Match | None:
         entry = self.bank(index, coarse, mask is not None)
         if entry is None:
             return None
-        bank, prepared = entry
-        match = match_positions(image, prepared, mask)
+        match = match_positions(image, entry.prepared, mask, min_valid=MIN_VALID)
         scores = np.asarray(match.scores)
         best = int(scores.argmax())
-        return bank, scores, *_place(bank, self.sonar, int(match.row[best]), int(match.col[best]))
+        top, left = entry.bank.offset
+        row, column = int(match.row[best]), int(match.col[best])
+        return Match(entry.bank, scores, (DECIMATION * row if coarse else row) - top, column - left)
+
+    def place(self, match: Match) -> tuple[float, float]:
+        """Ground (x, y) [m] of the object of a match."""
+        slant, azimuth = bank_place(match.bank, self.sonar)
+        centers = np.asarray(self.sonar.azimuth)
+        beam = np.interp(azimuth, centers, np.arange(len(centers))) + match.columns
+        found = np.interp(beam, np.arange(len(centers)), centers)
+        x, y = _floor_point(slant + match.rows * float(self.sonar.range_bin), found, self.sonar)
+        return float(x), float(y)
+
+
+_floor_point = jax.jit(floor_point)
+
+
+def _decimated(image: np.ndarray) -> np.ndarray:
+    """Means of DECIMATION neighbouring range bins (..., range / DECIMATION, beam)."""
+    rows = image.shape[-2] // DECIMATION
+    groups = image[..., : rows * DECIMATION, :].reshape(*image.shape[:-2], rows, DECIMATION, image.shape[-1])
+    return groups.mean(axis=-2)
 
 
 def _ground_ranges(sonar: Sonar) -> np.ndarray:
@@ -143,17 +189,6 @@ def _ground_ranges(sonar: Sonar) -> np.ndarray:
 
 def _ground(slant: float, height: float) -> float:
     return math.sqrt(max(slant**2 - height**2, 0.0))
-
-
-def _place(bank: TemplateBank, sonar: Sonar, row: int, column: int) -> tuple[float, float]:
-    """Ground (x, y) [m] of an object whose template matched with its corner at (row, column)."""
-    slant, azimuth = bank_place(bank, sonar)
-    centers = np.asarray(sonar.azimuth)
-    beam = np.interp(azimuth, centers, np.arange(len(centers))) + column - bank.offset[1]
-    found = np.interp(beam, np.arange(len(centers)), centers)
-    slant = slant + (row - bank.offset[0]) * float(sonar.range_bin)
-    x, y = floor_point(slant, found, sonar)
-    return float(x), float(y)
 
 
 _RECOGNIZERS: list[Recognizer] = []  # the last few, so that calling `recognize` frame by frame renders no bank twice
@@ -188,7 +223,9 @@ def recognize(
     image, mask = _checked(image, mask, sonar)
     check_segmenter(segmenter)
     semantic = image if segmenter == "none" else to_grey(segment(image, segmenter, mask))
-    bank, scores, x, y = _recognizer(mesh, sonar).find(semantic, mask)
+    recognizer = _recognizer(mesh, sonar)
+    match = recognizer.find(np.asarray(semantic, np.float32), mask)
+    (x, y), bank, scores = recognizer.place(match), match.bank, match.scores
     yaws = np.asarray(bank.yaws) + math.atan2(y, x) - bank.bearing
     found = peaks(jnp.asarray(scores), jnp.asarray(yaws), max_peaks=HYPOTHESES)
     valid = np.asarray(found.valid)
@@ -196,7 +233,8 @@ def recognize(
     hypotheses, estimate = _hypotheses(starts, np.where(valid, np.asarray(found.score), scores.max())), None
     if refine:
         pose = Pose(np.full(HYPOTHESES, x), np.full(HYPOTHESES, y), starts)
-        estimate = refine_yaw(semantic, mesh, sonar, pose, mask=mask)
+        sharpness = 0.0 if segmenter == "none" else SHARPNESS  # a grey frame mixes the classes, a segmented one labels
+        estimate = refine_yaw(semantic, mesh, sonar, pose, mask=mask, sharpness=sharpness)
         hypotheses = _hypotheses(*(np.asarray(v) for v in (estimate.yaw, estimate.score, estimate.yaw_std)))
         x, y = _place_of_best(estimate)
     limit = THRESHOLDS[segmenter] if threshold is None else float(threshold)

@@ -126,5 +126,7 @@ def _touched_box(images: np.ndarray) -> tuple[tuple[int, int], tuple[int, int]] 
 
 def bank_place(bank: TemplateBank, sonar: Sonar) -> tuple[float, float]:
     """Slant range [m] of the floor under the object's origin and its image azimuth [rad]: what matching shifts."""
-    azimuth = float(image_azimuth(bank.x, bank.y, sonar))
-    return float(np.hypot(bank.ground_range, float(sonar.height))), azimuth
+    return float(np.hypot(bank.ground_range, float(sonar.height))), float(_image_azimuth(bank.x, bank.y, sonar))
+
+
+_image_azimuth = jax.jit(image_azimuth)
