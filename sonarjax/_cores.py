@@ -16,20 +16,19 @@ SINGLE_CORE = {"xla_cpu_multi_thread_eigen": False}
 """Compiler options of a function that `on_all_cores` runs side by side: its small kernels only lose by being shared out."""
 
 
-def on_all_cores(function: Callable[[Any], Any], batch: Any) -> Any:
+def on_all_cores(function: Callable[[Any], Any], batch: Any, most: int | None = None) -> Any:
     """`function(batch)` for a compiled function of a pytree whose leaves lead with the batch axis, as its result does.
 
-    On a CPU the batch is cut into one part for each core, all of one size, and a thread waits for each. On an
-    accelerator, and inside a trace, there is one part.
+    On a CPU the batch is cut into parts, one for each core or more, of one size that is at most `most` (so that batches
+    of several sizes share compiled code). On an accelerator, and inside a trace, there is one part.
     """
     leaves = jax.tree.leaves(batch)
     count = len(leaves[0])
-    parts = min(_cores(), count)
-    if parts < 2 or jax.default_backend() != "cpu" or any(isinstance(v, jax.core.Tracer) for v in leaves):
+    if count == 1 or jax.default_backend() != "cpu" or any(isinstance(v, jax.core.Tracer) for v in leaves):
         return function(batch)
+    parts = max(min(_cores(), count), -(-count // (most or count)))
     size = -(-count // parts)
     index = np.minimum(np.arange(parts * size), count - 1).reshape(parts, size)  # the last part may repeat an element
-
     found = side_by_side(lambda rows: function(jax.tree.map(lambda v: v[rows], batch)), list(index))
     return jax.tree.map(lambda *v: jnp.concatenate(v)[:count], *found)
 

@@ -104,7 +104,7 @@ class Recognizer:
         self._banks: dict[tuple[int, bool, bool], _Entry | None] = {}
         self._distances = _ground_ranges(sonar)
         near = float(self._distances[0])
-        self._beams = object_columns(mesh, sonar, near)
+        self._beams = min(-(-object_columns(mesh, sonar, near) // 16) * 16, sonar.n_beams)
         self._shape = (sonar.n_ranges, min(-(-window_shape(mesh, sonar, near)[1] // 16) * 16, sonar.n_beams))
 
     def bank(self, index: int, coarse: bool, masked: bool) -> _Entry | None:
@@ -118,9 +118,11 @@ class Recognizer:
         yaws = np.arange(0, YAW_BINS, 2 if coarse else 1) * (2 * math.pi / YAW_BINS)
         try:
             bank = template_bank(self.mesh, self.sonar, yaws, x=distance, shape=self._shape, beams=self._beams)
-            templates = _decimated(np.asarray(bank.templates)) if coarse else bank
-            rows = self.sonar.n_ranges // DECIMATION if coarse else self.sonar.n_ranges
-            return _Entry(bank, prepare_bank(templates, (rows, self.sonar.n_beams), masked=masked))
+            if not coarse:
+                return _Entry(bank, prepare_bank(bank, self.sonar.shape, masked=masked))
+            frame = self.sonar.n_ranges // DECIMATION, self.sonar.n_beams
+            templates = _rounded_up(_decimated(np.asarray(bank.templates)), frame)
+            return _Entry(bank, prepare_bank(templates, frame, masked=masked))
         except SonarjaxError:
             return None
 
@@ -174,6 +176,12 @@ def _decimated(image: np.ndarray) -> np.ndarray:
     rows = image.shape[-2] // DECIMATION
     groups = image[..., : rows * DECIMATION, :].reshape(*image.shape[:-2], rows, DECIMATION, image.shape[-1])
     return groups.mean(axis=-2)
+
+
+def _rounded_up(templates: np.ndarray, frame: tuple[int, int]) -> np.ndarray:
+    """Coarse templates (yaw, h, w) with background added behind and to port: few shapes, so few to be compiled."""
+    sizes = zip(templates.shape[1:], frame, strict=True)
+    return np.pad(templates, ((0, 0), *((0, min(-n % 8, most - n)) for n, most in sizes)), constant_values=0.5)
 
 
 def _ground_ranges(sonar: Sonar) -> np.ndarray:

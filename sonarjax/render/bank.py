@@ -19,6 +19,7 @@ from sonarjax.render.window import Window, render_window
 from sonarjax.scene import Mesh, Pose
 from sonarjax.sonar import Sonar
 
+VIEWS = 9  # rendered by one call of the compiled function
 TOUCHED = 0.01  # a pixel belongs to the object when its semantic value is this far from the background's
 
 
@@ -77,7 +78,7 @@ def template_bank(
     shape = shape or window_shape(mesh, sonar, float(np.hypot(x, y)))
     row, column = (int(v) for v in _corner(mesh, sonar, x, y, shape))
     settings = (shape, beams or object_columns(mesh, sonar, float(np.hypot(x, y))), sub_beams, elevations)
-    views = on_all_cores(lambda part: _render_views(mesh, sonar, part, x, y, (row, column), *settings), yaws)
+    views = on_all_cores(lambda part: _render_views(mesh, sonar, part, x, y, (row, column), *settings), yaws, VIEWS)
     images = np.asarray(views)
     box = _touched_box(images)
     if box is None:
