@@ -28,7 +28,7 @@ def best_threshold(target: np.ndarray, other: np.ndarray) -> float:
 def main() -> None:
     """Command line of the experiment."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--step-deg", type=int, default=40, help="yaw step of the validation frames [deg]")
+    parser.add_argument("--step-deg", type=int, default=20, help="yaw step of the validation frames [deg]")
     settings = parser.parse_args()
     frames = paper_frames(VALIDATION_SEED, yaw_offset_deg=5.0, step_deg=settings.step_deg)
     mesh, sonars = sj.objects.target(), {tilt: sonar_for(tilt) for tilt in sorted({f.tilt_deg for f in frames})}

@@ -1,11 +1,11 @@
 """How well `refine_yaw` does on labels of §4.1's second version, beside the Cramér–Rao bound of the same frames.
 
-python -m experiments.refine_accuracy [--smoke]: prints one row a case. Labels come from a converged render; where there is
-noise, each label is replaced with that probability by a uniform draw of the three classes. Position is known to 2 cm.
+python -m experiments.refine_accuracy [--smoke]: prints one row a case. Labels come from a converged render; where there
+is noise, each label is replaced with that probability by a uniform draw of the three classes. Place is known to 2 cm.
 
-The bound takes each label as one draw of the classes' shares of its pixel, mixed with the noise: a frame's information on
-(yaw, x, y) is Σ over pixels and classes of ∇p ∇pᵀ / p. Clean labels are the largest share instead of a draw, so for them
-a draw at 0.1 % noise is taken, which says more about the size to be expected than about a limit.
+The bound takes each label as one draw of the classes' shares of its pixel, mixed with the noise: a frame's information
+on (yaw, x, y) is Σ over pixels and classes of ∇p ∇pᵀ / p. Clean labels are the largest share instead of a draw, so for
+them a draw at 0.1 % noise is taken, which says more about the size to be expected than about a limit.
 """
 
 from __future__ import annotations

@@ -11,9 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-
 SINGLE_CORE = {"xla_cpu_multi_thread_eigen": False}
-"""Compiler options of a function that `on_all_cores` runs side by side: its small kernels only lose by being shared out."""
+"""Compiler options of a function that `on_all_cores` calls: its small kernels only lose by being shared out."""
 
 
 def on_all_cores(function: Callable[[Any], Any], batch: Any, most: int | None = None) -> Any:

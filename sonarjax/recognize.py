@@ -13,7 +13,7 @@ import numpy as np
 from sonarjax._cores import side_by_side
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.match import PreparedBank, match_positions, peaks, prepare_bank
-from sonarjax.refine import SHARPNESS, YawEstimate, refine_yaw
+from sonarjax.refine import YawEstimate, refine_yaw
 from sonarjax.render import TemplateBank, bank_place, floor_point, object_columns, template_bank, window_shape
 from sonarjax.scene import Mesh, Pose
 from sonarjax.segment import check_segmenter, segment, to_grey
@@ -25,8 +25,9 @@ MIN_VALID = 0.5  # least share of a template's pixels that were measured, where 
 RANGE_STEP_M = 0.1  # templates 0.3 m off in distance lose 10 points of accuracy
 DECIMATION = 4  # range bins that are one in that search
 HYPOTHESES = 2
+REFINE_BOUNDS = (math.radians(20.0), 0.06, 0.06)  # from a match: two bins of yaw [rad], some pixels of x and y [m]
 SAME_YAW = math.radians(8.0)  # refined hypotheses closer than this are one
-THRESHOLDS = {"none": 0.555, "otsu": 0.618}
+THRESHOLDS = {"none": 0.551, "otsu": 0.616}
 """Least score of an identified target, for each segmenter; validation frames of experiments/fit_threshold.py."""
 
 
@@ -151,7 +152,7 @@ class Recognizer:
         entry = self.bank(index, coarse, mask is not None)
         if entry is None:
             return None
-        match = match_positions(image, entry.prepared, mask, min_valid=MIN_VALID)
+        match = match_positions(image, entry.prepared, mask, min_valid=MIN_VALID, whole=True)
         scores = np.asarray(match.scores)
         best = int(scores.argmax())
         top, left = entry.bank.offset
@@ -241,8 +242,8 @@ def recognize(
     hypotheses, estimate = _hypotheses(starts, np.where(valid, np.asarray(found.score), scores.max())), None
     if refine:
         pose = Pose(np.full(HYPOTHESES, x), np.full(HYPOTHESES, y), starts)
-        sharpness = 0.0 if segmenter == "none" else SHARPNESS  # a grey frame mixes the classes, a segmented one labels
-        estimate = refine_yaw(semantic, mesh, sonar, pose, mask=mask, sharpness=sharpness)
+        # What a threshold makes of speckle is no label image: on validation frames a plain template does best for it.
+        estimate = refine_yaw(semantic, mesh, sonar, pose, mask=mask, bounds=REFINE_BOUNDS, sharpness=0.0)
         hypotheses = _hypotheses(*(np.asarray(v) for v in (estimate.yaw, estimate.score, estimate.yaw_std)))
         x, y = _place_of_best(estimate)
     limit = THRESHOLDS[segmenter] if threshold is None else float(threshold)

@@ -62,14 +62,20 @@ def masked_centre(image: Float[Array, "range beam"], mask: Bool[Array, "range be
 
 
 def masked_maps(
-    frame: MaskedFrame, planes: Complex[Array, "pair range beam"], squares: Complex[Array, "pair range beam"]
+    frame: MaskedFrame,
+    planes: Complex[Array, "pair range beam"],
+    squares: Complex[Array, "pair range beam"],
+    whole: bool = False,
 ) -> Float[Array, "pair two row col"]:
-    """Masked eq. 4 at all window positions for pairs of unit templates (`planes`) and their squares."""
+    """Masked eq. 4 at all window positions for pairs of unit templates (`planes`) and their squares.
+
+    With `whole` a template's norm is taken over all of it: what lies over unmeasured pixels then counts as unmatched.
+    """
     shape = (frame.mean.shape[0], frame.mean.shape[1])
     total = correlate(frame.valid, planes, shape)  # Σ T over measured pixels
     energy = correlate(frame.valid, squares, shape) - jnp.square(total) / frame.pixels
     product = correlate(frame.signal, planes, shape) - frame.mean * total
-    return product * frame.scale * inverse_root(energy, LOST_TEMPLATE)
+    return product * frame.scale * ((energy > LOST_TEMPLATE) if whole else inverse_root(energy, LOST_TEMPLATE))
 
 
 class WeightedFrame(NamedTuple):

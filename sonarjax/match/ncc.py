@@ -91,12 +91,14 @@ def match_positions(
     *,
     min_valid: float = MIN_VALID,
     template_mask: Bool[AnyArray, "yaw h w"] | None = None,
+    whole: bool = False,
 ) -> MatchPositions:
     """Scores (yaw,) as `match_bank` of `image` (range, beam), and the corner of the window that reached each.
 
-    The corner is the top-left one, row (yaw,) and column (yaw,). `template_mask` is (yaw, h, w). Errors as there.
+    The corner is the top-left one, row (yaw,) and column (yaw,). `template_mask` is (yaw, h, w). With `whole`, the part
+    of a template over pixels that `mask` leaves out counts as unmatched: none can hide there. Errors as there.
     """
-    return _match(image, bank, mask, template_mask, min_valid, _best_position)
+    return _match(image, bank, mask, template_mask, min_valid, _best_position, whole)
 
 
 def correlation_maps(
@@ -114,7 +116,15 @@ def correlation_maps(
     return _match(image, bank, mask, template_mask, min_valid, _whole_map)
 
 
-def _match(image: Any, bank: Any, mask: Any, template_mask: Any, min_valid: float, reduce: Callable[..., Any]) -> Any:
+def _match(
+    image: Any,
+    bank: Any,
+    mask: Any,
+    template_mask: Any,
+    min_valid: float,
+    reduce: Callable[..., Any],
+    whole: bool = False,
+) -> Any:
     image, templates = jnp.asarray(image, jnp.float32), _templates(bank)
     shape = tuple(image.shape)
     check_shapes(templates.shape, shape)
@@ -127,7 +137,7 @@ def _match(image: Any, bank: Any, mask: Any, template_mask: Any, min_valid: floa
         spectra = _spectra(templates, shape, mask is not None)
     if mask is None:
         return _match_plain(image, spectra, reduce)
-    return _match_masked(image, spectra, _as_mask("mask", mask, shape), min_valid, reduce)
+    return _match_masked(image, spectra, _as_mask("mask", mask, shape), min_valid, reduce, whole)
 
 
 def _templates(bank: Any) -> Array:
@@ -160,12 +170,14 @@ def _match_plain(image: Array, spectra: TemplateSpectra, reduce: Callable[..., A
     return _per_yaw(over_chunks(chunk, spectra.planes), spectra.yaw_count)
 
 
-@partial(jax.jit, static_argnums=4)
-def _match_masked(image: Array, spectra: TemplateSpectra, mask: Array, min_valid: Any, reduce: Callable) -> Any:
+@partial(jax.jit, static_argnums=(4, 5))
+def _match_masked(
+    image: Array, spectra: TemplateSpectra, mask: Array, min_valid: Any, reduce: Callable, whole: bool
+) -> Any:
     frame = masked_frame(image, mask, spectra.template_shape, min_valid)
 
     def chunk(planes: tuple[Array, Array]) -> Any:
-        return reduce(masked_maps(frame, *planes))
+        return reduce(masked_maps(frame, *planes, whole))
 
     return _per_yaw(over_chunks(chunk, (spectra.planes, spectra.squares)), spectra.yaw_count)
 

@@ -48,7 +48,7 @@ class Blur(NamedTuple):
 
 
 def make_blur(shape: tuple[int, int], sigma: Float[Array, ""] | float) -> Blur:
-    """The blur of a window of `shape` (range, beam) with standard deviation `sigma` [range bins], round on the floor."""
+    """The blur of a window of `shape` (range, beam) by `sigma` [range bins], round on the floor."""
     rows, columns = shape
 
     def kernel(at: Array, size: int, sigma: Array) -> Array:

@@ -38,10 +38,11 @@ class Found(NamedTuple):
 
 
 def coarse_to_fine(
-    problem: Problem, mesh: Mesh, sonar: Sonar, bounds: Float[Array, "3"], blurs: tuple[float, ...], iterations: int, sub_beams: int,
+    problem: Problem, mesh: Mesh, sonar: Sonar, bounds: Float[Array, "3"],
+    blurs: tuple[float, ...], iterations: int, sub_beams: int,
 ) -> Found:  # fmt: skip
     """Minimise 1 − NCC for each blur [range bins] in turn, `iterations` times each, within `bounds` [rad, m, m]."""
-    shape = problem.image.shape
+    shape = (problem.image.shape[0], problem.image.shape[1])
     made = [make_blur(shape, sigma) for sigma in blurs]
     ladder = jax.tree.map(lambda *v: jnp.stack(v), *made)
     level = jnp.repeat(jnp.arange(len(blurs)), iterations)
@@ -58,13 +59,13 @@ def coarse_to_fine(
         best = jax.tree.map(lambda new, old: jnp.where(better, new, old), here, best)
         return (jnp.clip(step + move, -bounds, bounds), best), None
 
-    none = Found(jnp.inf, jnp.zeros(3), jnp.full(shape, 0.5), jnp.zeros((3, *shape)), jnp.ones(3))
+    none = Found(jnp.asarray(jnp.inf), jnp.zeros(3), jnp.full(shape, 0.5), jnp.zeros((3, *shape)), jnp.ones(3))
     (_, best), _ = jax.lax.scan(iterate, (jnp.zeros(3), none), level)
     return best
 
 
 def _linear_step(problem: Problem, blur: Blur, drawn: Array, slope: Array) -> tuple[Array, Array]:
-    """The step (yaw, x, y) that fits the template's linear model best inside the trust region, and 1 − NCC before it."""
+    """The step (yaw, x, y) that fits the template's linear model best in the trust region, and 1 − NCC before it."""
     weight = problem.weight[::ROW_STRIDE]
     seen = normalised(blur(problem.image * problem.weight), weight)
     trust = jnp.asarray(TRUST)

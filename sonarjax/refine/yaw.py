@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from sonarjax.io.errors import SonarjaxError
 from sonarjax._cores import SINGLE_CORE, on_all_cores
+from sonarjax.io.errors import SonarjaxError
 from sonarjax.refine.objective import Problem, crop_score, normalised, pose_at
 from sonarjax.refine.solver import Found, coarse_to_fine
 from sonarjax.render import Window, object_columns, place_window, window_shape
@@ -97,24 +97,22 @@ def refine_yaw(
     starts = jax.tree.map(lambda v: jnp.broadcast_to(v, axes).reshape(-1), start)
     count = math.prod(axes)
     which = jnp.arange(count) // max(count // max(math.prod(axes[:frames]), 1), 1)
-    stack = tuple(v.reshape(-1, *sonar.shape) for v in (image, weight))
-    settings = (
-        jnp.asarray(bounds, jnp.float32),
-        jnp.float32(sharpness),
-        shape,
-        beams,
-        tuple(blurs),
-        iterations,
-        sub_beams,
-    )
-    traced = any(isinstance(v, jax.core.Tracer) for v in jax.tree.leaves((stack, starts, mesh, sonar)))
+    images, weights = (v.reshape(-1, *sonar.shape) for v in (image, weight))
+    limits, sharp = jnp.asarray(bounds, jnp.float32), jnp.float32(sharpness)
+    traced = any(isinstance(v, jax.core.Tracer) for v in jax.tree.leaves((images, weights, starts, mesh, sonar)))
     refine = _refine if traced else _refine_compiled  # compiler options are for the outermost function only
-    found = on_all_cores(lambda part: refine(*stack, mesh, sonar, *part, *settings), (which, starts))
+
+    def part(jobs: tuple[Array, Pose]) -> YawEstimate:
+        return refine(
+            images, weights, mesh, sonar, jobs, limits, sharp, shape, beams, tuple(blurs), iterations, sub_beams
+        )
+
+    found = on_all_cores(part, (which, starts))
     return jax.tree.map(lambda v: v.reshape(axes), found)
 
 
 def _window_size(mesh: Mesh, sonar: Sonar, start: Pose, bounds: tuple[float, ...]) -> tuple[tuple[int, int], int]:
-    """The window that holds every start and the beams that the object may touch; the frame's where tracing hides them."""
+    """The window that holds every start and the beams the object may touch; the frame's where tracing hides them."""
     if any(isinstance(v, jax.core.Tracer) for v in jax.tree.leaves((start, sonar))):
         return sonar.shape, sonar.n_beams
     ground = np.hypot(np.asarray(start.x), np.asarray(start.y))
@@ -127,7 +125,7 @@ def _window_size(mesh: Mesh, sonar: Sonar, start: Pose, bounds: tuple[float, ...
 
 
 def _refine(
-    images: Array, weights: Array, mesh: Mesh, sonar: Sonar, which: Array, starts: Pose, bounds: Array, sharpness: Array,
+    images: Array, weights: Array, mesh: Mesh, sonar: Sonar, jobs: tuple[Array, Pose], bounds: Array, sharpness: Array,
     shape: tuple[int, int], beams: int, blurs: tuple[float, ...], iterations: int, sub_beams: int,
 ) -> YawEstimate:  # fmt: skip
     def one(job: tuple[Array, Pose]) -> YawEstimate:
@@ -139,8 +137,8 @@ def _refine(
         return _estimate(problem, coarse_to_fine(problem, mesh, sonar, bounds, blurs, iterations, sub_beams), bounds)
 
     # One after another on a CPU, where a batch would only spill the caches; side by side on an accelerator.
-    side_by_side = None if jax.default_backend() == "cpu" else len(which)
-    return jax.lax.map(one, (which, starts), batch_size=side_by_side)
+    side_by_side = None if jax.default_backend() == "cpu" else len(jobs[0])
+    return jax.lax.map(one, jobs, batch_size=side_by_side)
 
 
 _refine_compiled = jax.jit(

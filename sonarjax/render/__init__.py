@@ -6,6 +6,6 @@ from sonarjax.render.region import floor_point, image_azimuth, object_columns, p
 from sonarjax.render.window import Window, render_window
 
 __all__ = [
-    "SonarFrame", "TemplateBank", "Window", "bank_place", "floor_point", "image_azimuth", "object_columns", "place_window", "render",
-    "render_window", "semantic_image", "semantic_window", "template_bank", "window_shape",
+    "SonarFrame", "TemplateBank", "Window", "bank_place", "floor_point", "image_azimuth", "object_columns",
+    "place_window", "render", "render_window", "semantic_image", "semantic_window", "template_bank", "window_shape",
 ]  # fmt: skip

@@ -227,7 +227,7 @@ def _corner(corners: Float[Array, "*batch 3 3"], index: Int[Array, "*batch"]) ->
 
 
 def trace_ranges(outline: Outline, azimuth: Float[Array, "slab"], scene: Scene) -> Float[Array, "slab end"]:
-    """Slant ranges [m] of an outline's ends at `azimuth` [rad]: runs' near and far points, floor behind stretches' ends.
+    """Slant ranges [m] of an outline's ends at `azimuth` [rad]: runs' near and far points, floor behind stretches.
 
     The floor at and above the horizon is very far. Differentiable in `azimuth` too, at the middle of the slabs.
     """

@@ -12,9 +12,8 @@ import jax.numpy as jnp
 def computed_once(stage: Callable[..., Any], *slabs: Any) -> Any:
     """`stage(*slabs)` for arrays that all lead with the slab axis, one half of the slabs after the other.
 
-    XLA fuses a cheap stage into each of its uses, and into gathers, where it is then computed many times over (six
-    times slower on a CPU, and slower to compile). What a loop returns is written to memory once. It carries no gradient worth having:
-    use it on what `stop_gradient` has cut off.
+    XLA fuses a cheap stage into each of its uses, and into gathers, where it is then computed many times over (twice
+    the time of a render on a CPU). What a loop returns is written to memory once. For what carries no gradient.
     """
     count = len(jax.tree.leaves(slabs)[0])
     half = -(-count // 2)

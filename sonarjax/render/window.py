@@ -31,12 +31,11 @@ from sonarjax.render.profile import (
     trace_ranges,
 )
 from sonarjax.render.segments import Segments, View, cut
-from sonarjax.render.stage import computed_once
 from sonarjax.render.slices import Slabs, event_azimuths, make_slabs
+from sonarjax.render.stage import computed_once
 from sonarjax.scene import Mesh, Pose
 from sonarjax.scene.pose import rotation_x, rotation_y
 from sonarjax.sonar import Sonar
-
 
 STEEPEST = 2.0  # slope in range per arc length [1] up to which a facet stands for its neighbours in the slab
 
