@@ -1,0 +1,141 @@
+"""`refine_yaw`: how near it comes on labels, several starts, masks, error bars and what it refuses."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import sonarjax as sj
+from sonarjax.refine.objective import labelled, make_blur, normalised
+
+SONAR = sj.Sonar.preset("didson-hf", tilt=math.radians(20.0), height=0.9)
+GREY = np.array([0.5, 1.0, 0.0], np.float32)
+COUNT = 8
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """(mesh, grey label frames, poses (frame, 3) as yaw, x, y)."""
+    rng = np.random.default_rng(3)
+    poses = rng.uniform([0, 2.25, -0.15], [2 * math.pi, 2.35, 0.15], (COUNT, 3)).astype(np.float32)
+    mesh = sj.objects.target()
+
+    @jax.jit
+    def labels(poses):
+        return jax.lax.map(lambda p: sj.render(mesh, sj.Pose(p[1], p[2], p[0]), SONAR, sub_beams=4).labels(), poses)
+
+    return mesh, GREY[np.asarray(labels(poses))], poses
+
+
+def near(poses, seed, shape=()):
+    rng = np.random.default_rng(seed)
+    moved = poses.T.reshape(3, -1, *(1,) * len(shape)) + rng.uniform(-1, 1, (3, len(poses), *shape)) * np.array(
+        [math.radians(10), 0.02, 0.02]
+    ).reshape(3, 1, *(1,) * len(shape))
+    yaw, x, y = moved.astype(np.float32)
+    return sj.Pose(x, y, yaw)
+
+
+def yaw_error_deg(found, true):
+    return np.degrees(np.abs((np.asarray(found) - true + np.pi) % (2 * np.pi) - np.pi))
+
+
+def test_labels_give_the_yaw_to_a_fraction_of_a_degree(scene):
+    mesh, images, poses = scene
+    found = sj.refine_yaw(images, mesh, SONAR, near(poses, 0))
+    error = yaw_error_deg(found.yaw, poses[:, 0])
+    print(f"\nyaw error: median {np.median(error):.3f}°, largest {error.max():.3f}°")
+    assert error.max() < 1.0 and np.median(error) < 0.3
+    assert np.hypot(found.x - poses[:, 1], found.y - poses[:, 2]).max() < 4e-3
+    assert np.asarray(found.converged).all()
+    assert (np.asarray(found.yaw) >= 0).all() and (np.asarray(found.yaw) < 2 * math.pi).all()
+    assert (np.asarray(found.score) > 0.9).all()
+    # The error bar takes pixel errors for independent: it has the right size, not more.
+    assert 0.2 < np.sqrt((error**2).mean()) / np.degrees(np.sqrt((np.asarray(found.yaw_std) ** 2).mean())) < 5
+
+
+def test_several_starts_keep_their_axis_and_a_batch_equals_single_frames(scene):
+    mesh, images, poses = scene
+    starts = near(poses[:2], 1, (2,))
+    many = sj.refine_yaw(images[:2], mesh, SONAR, starts)
+    assert many.yaw.shape == many.score.shape == (2, 2)
+    for frame in range(2):
+        one = jax.tree.map(lambda v, frame=frame: v[frame], starts)
+        single = sj.refine_yaw(images[frame], mesh, SONAR, one)
+        np.testing.assert_allclose(single.yaw, many.yaw[frame], atol=1e-4)
+    lone = jax.tree.map(lambda v: v[0, 0], starts)
+    assert sj.refine_yaw(images[0], mesh, SONAR, lone).yaw.shape == ()
+
+
+def test_what_is_masked_does_not_count(scene):
+    mesh, images, poses = scene
+    mask = np.ones(images[0].shape, bool)
+    mask[:, : images.shape[2] // 2 - 4] = False
+    spoiled = np.where(mask, images[0], np.random.default_rng(0).random(mask.shape)).astype(np.float32)
+    start = jax.tree.map(lambda v: v[0], near(poses, 2))
+    clean, hidden = (sj.refine_yaw(image, mesh, SONAR, start, mask=mask) for image in (images[0], spoiled))
+    np.testing.assert_allclose(clean.yaw, hidden.yaw, atol=1e-6)
+    np.testing.assert_allclose(clean.score, hidden.score, atol=1e-6)
+
+
+def test_bounds_hold_and_are_reported(scene):
+    mesh, images, poses = scene
+    start = sj.Pose(float(poses[0, 1]), float(poses[0, 2]), float(poses[0, 0]) + 0.2)
+    found = sj.refine_yaw(images[0], mesh, SONAR, start, bounds=(0.05, 0.01, 0.01))
+    assert abs((float(found.yaw) - start.yaw + np.pi) % (2 * np.pi) - np.pi) <= 0.05 + 1e-5
+    assert not bool(found.converged)
+
+
+def test_inside_jit_as_outside(scene):
+    mesh, images, poses = scene
+    start = jax.tree.map(lambda v: jnp.asarray(v[1]), near(poses, 4))
+    small = SONAR.replace(azimuth=SONAR.azimuth[24:72])  # tracing hides the start: the window is the whole frame
+    image = images[1][:, 24:72]
+    traced = jax.jit(lambda image, start: sj.refine_yaw(image, mesh, small, start).yaw)(image, start)
+    np.testing.assert_allclose(traced, sj.refine_yaw(image, mesh, small, start).yaw, atol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"image": np.zeros((3, 4), np.float32)}, "image: expected shape"),
+        ({"mask": np.ones((3, 4), bool)}, "mask: expected the image's shape"),
+        ({"start": sj.Pose(np.full(3, 2.3), np.zeros((2, 3)), np.zeros(3))}, "start: expected one pose"),
+    ],
+)
+def test_what_does_not_fit_is_refused(change, message):
+    given = {"image": np.zeros(SONAR.shape, np.float32), "start": sj.Pose(2.3, 0.0, 0.0), "mask": None} | change
+    mesh = sj.objects.brick()
+    with pytest.raises(sj.SonarjaxError, match=message):
+        sj.refine_yaw(given["image"], mesh, SONAR, given["start"], mask=given["mask"])
+
+
+def test_blur_keeps_a_constant_and_spreads_as_scipy_does():
+    from scipy.ndimage import gaussian_filter1d
+
+    image = np.random.default_rng(1).random((64, 24)).astype(np.float32)
+    blurred = make_blur((64, 24), 3.0)(jnp.asarray(image))
+    expected = gaussian_filter1d(gaussian_filter1d(image, 3.0, axis=0, truncate=6), 1.2, axis=1, truncate=6)
+    np.testing.assert_allclose(blurred[8:24, 6:18], expected[16:48:2, 6:18], atol=2e-3)
+    np.testing.assert_allclose(make_blur((64, 24), 8.0)(jnp.ones((64, 24))), 1.0, atol=1e-5)
+
+
+def test_labelled_shares():
+    share = jnp.linspace(0, 1, 11)
+    np.testing.assert_allclose(labelled(share, jnp.float32(0.0)), share)
+    sharp = labelled(share, jnp.float32(10.0))
+    np.testing.assert_allclose(sharp[jnp.array([0, 5, 10])], [0, 0.5, 1], atol=1e-6)
+    np.testing.assert_allclose(sharp + sharp[::-1], 1.0, atol=1e-6)
+    assert float(sharp[3]) < 0.3 < 0.7 < float(sharp[7])
+    assert np.isfinite(jax.grad(lambda k: labelled(share, k).sum())(0.0))
+
+
+def test_normalised_image_has_unit_norm_over_what_was_measured():
+    rng = np.random.default_rng(2)
+    image, weight = jnp.asarray(rng.random((6, 5)), jnp.float32), jnp.asarray(rng.random((6, 5)) < 0.7, jnp.float32)
+    out = normalised(image, weight)
+    assert float((out * weight).sum()) == pytest.approx(0, abs=1e-5)
+    assert float((out**2).sum()) == pytest.approx(1, abs=1e-5)
+    np.testing.assert_allclose(normalised(jnp.full((6, 5), 0.3), weight), 0.0, atol=1e-3)
