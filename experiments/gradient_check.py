@@ -74,7 +74,10 @@ def load_meshes(names: tuple[str, ...]) -> dict[str, Mesh]:
     shared = {}
     for name, mesh in meshes.items():
         alike = [other for other in meshes.values() if sizes(other) == sizes(mesh)]
-        bounds = {key: max(getattr(other, key) for other in alike) for key in ("crossings", "front", "crossing", "radius", "top")}
+        bounds = {
+            key: max(getattr(other, key) for other in alike)
+            for key in ("crossings", "front", "crossing", "radius", "top")
+        }
         shared[name] = replace(mesh, **bounds)
     return shared
 

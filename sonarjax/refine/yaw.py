@@ -43,9 +43,9 @@ class YawEstimate:
     y: Float[Array, "*batch"]
     """Position to port [m]."""
     yaw_std: Float[Array, "*batch"]
-    """Standard deviation of yaw [rad] from the curvature, given that the basin is the right one.
+    """Standard deviation of yaw [rad] from the curvature and the residuals of each beam, given the right basin.
 
-    Pixel errors are taken as independent and equal; on real, speckled frames it is too small. Not calibrated.
+    On labels of a render it has the size of the error; errors that neighbouring beams share make it too small.
     """
     score: Float[Array, "*batch"]
     """NCC (eq. 4) of the refined template, over its own box with the bank's margin."""
@@ -157,14 +157,21 @@ def _estimate(problem: Problem, found: Found, bounds: Array) -> YawEstimate:
 
 
 def _yaw_std(problem: Problem, found: Found) -> Array:
-    """Square root of the yaw entry of σ²(JᵀJ)⁻¹, J and σ of the unblurred image fitted by gain·template + offset."""
+    """Square root of the yaw entry of (JᵀJ)⁻¹·B·(JᵀJ)⁻¹, J of the image fitted by gain·template + offset.
+
+    B sums the outer products of each beam's Jᵀr (White 1980, by clusters): residuals along a beam err together where
+    an edge is a little off, so the plain σ²(JᵀJ)⁻¹ is far too small.
+    """
     weight, drawn = problem.weight, found.template
-    jacobian = (found.slope * weight).reshape(3, -1)
     fitted, seen = normalised(drawn, weight), normalised(problem.image, weight)
     gain = (fitted * seen).sum()
-    left = ((seen - gain * fitted) ** 2).sum() / jnp.maximum(weight.sum() - 5, 1.0)
-    scale = gain / jnp.sqrt(((drawn - drawn.mean()) ** 2 * weight).sum() + 1e-9)
-    information = (jacobian @ jacobian.T) * scale**2
+    left = seen - gain * fitted
+    centred = (drawn - (drawn * weight).sum() / jnp.maximum(weight.sum(), 1.0)) * weight
+    scale = gain / jnp.sqrt((centred**2).sum() + 1e-9)
+    slope = found.slope * weight * scale
+    information = jnp.einsum("irb,jrb->ij", slope, slope)
+    by_beam = jnp.einsum("irb,rb->ib", slope, left)
     ridge = 1e-6 * jnp.trace(information) + 1e-12
-    covariance = jnp.linalg.inv(information + ridge * jnp.eye(3)) * left
+    inverse = jnp.linalg.inv(information + ridge * jnp.eye(3))
+    covariance = inverse @ (by_beam @ by_beam.T) @ inverse
     return jnp.sqrt(jnp.maximum(covariance[0, 0], 0.0))

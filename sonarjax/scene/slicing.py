@@ -74,7 +74,7 @@ def has_crossing_triangles(vertices: Float[np.ndarray, "vertex 3"], faces: Int[n
         from_corner = start - a
         along = -(from_corner * normal).sum(-1) / slope
         turned = np.cross(direction, from_corner)
-        u, v = -(turned * ac).sum(-1) / slope, (turned * ab).sum(-1) / slope
+        u, v = (turned * ac).sum(-1) / slope, -(turned * ab).sum(-1) / slope
         inside = (np.minimum(u, v) > INSIDE) & (u + v < 1 - INSIDE) & (along > INSIDE) & (along < 1 - INSIDE)
         if (inside & ~flat).any():
             return True

@@ -38,6 +38,10 @@ def near(poses, seed, shape=()):
     return sj.Pose(x, y, yaw)
 
 
+def pick(pose, index):
+    return sj.Pose(pose.x[index], pose.y[index], pose.yaw[index])
+
+
 def yaw_error_deg(found, true):
     return np.degrees(np.abs((np.asarray(found) - true + np.pi) % (2 * np.pi) - np.pi))
 
@@ -52,8 +56,9 @@ def test_labels_give_the_yaw_to_a_fraction_of_a_degree(scene):
     assert np.asarray(found.converged).all()
     assert (np.asarray(found.yaw) >= 0).all() and (np.asarray(found.yaw) < 2 * math.pi).all()
     assert (np.asarray(found.score) > 0.9).all()
-    # The error bar takes pixel errors for independent: it has the right size, not more.
-    assert 0.2 < np.sqrt((error**2).mean()) / np.degrees(np.sqrt((np.asarray(found.yaw_std) ** 2).mean())) < 5
+    std = np.degrees(np.asarray(found.yaw_std))
+    print(f"error / yaw_std, RMS: {np.sqrt((error**2).mean() / (std**2).mean()):.2f}")
+    assert 0.4 < np.sqrt((error**2).mean() / (std**2).mean()) < 2.5
 
 
 def test_several_starts_keep_their_axis_and_a_batch_equals_single_frames(scene):
@@ -62,11 +67,9 @@ def test_several_starts_keep_their_axis_and_a_batch_equals_single_frames(scene):
     many = sj.refine_yaw(images[:2], mesh, SONAR, starts)
     assert many.yaw.shape == many.score.shape == (2, 2)
     for frame in range(2):
-        one = jax.tree.map(lambda v, frame=frame: v[frame], starts)
-        single = sj.refine_yaw(images[frame], mesh, SONAR, one)
+        single = sj.refine_yaw(images[frame], mesh, SONAR, pick(starts, frame))
         np.testing.assert_allclose(single.yaw, many.yaw[frame], atol=1e-4)
-    lone = jax.tree.map(lambda v: v[0, 0], starts)
-    assert sj.refine_yaw(images[0], mesh, SONAR, lone).yaw.shape == ()
+    assert sj.refine_yaw(images[0], mesh, SONAR, pick(starts, (0, 0))).yaw.shape == ()
 
 
 def test_what_is_masked_does_not_count(scene):
@@ -74,7 +77,7 @@ def test_what_is_masked_does_not_count(scene):
     mask = np.ones(images[0].shape, bool)
     mask[:, : images.shape[2] // 2 - 4] = False
     spoiled = np.where(mask, images[0], np.random.default_rng(0).random(mask.shape)).astype(np.float32)
-    start = jax.tree.map(lambda v: v[0], near(poses, 2))
+    start = pick(near(poses, 2), 0)
     clean, hidden = (sj.refine_yaw(image, mesh, SONAR, start, mask=mask) for image in (images[0], spoiled))
     np.testing.assert_allclose(clean.yaw, hidden.yaw, atol=1e-6)
     np.testing.assert_allclose(clean.score, hidden.score, atol=1e-6)
@@ -90,7 +93,7 @@ def test_bounds_hold_and_are_reported(scene):
 
 def test_inside_jit_as_outside(scene):
     mesh, images, poses = scene
-    start = jax.tree.map(lambda v: jnp.asarray(v[1]), near(poses, 4))
+    start = pick(near(poses, 4), 1)
     small = SONAR.replace(azimuth=SONAR.azimuth[24:72])  # tracing hides the start: the window is the whole frame
     image = images[1][:, 24:72]
     traced = jax.jit(lambda image, start: sj.refine_yaw(image, mesh, small, start).yaw)(image, start)

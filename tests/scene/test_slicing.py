@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
+import trimesh.ray.ray_pyembree
 from trimesh.transformations import rotation_matrix
 
 from sonarjax.scene import objects
@@ -40,7 +41,7 @@ def test_random_triangles_cross_where_a_ray_along_an_edge_hits():
         faces = np.array([[0, 1, 2], [3, 4, 5]])
         hit = False
         for own, other in ((faces[0], faces[1]), (faces[1], faces[0])):
-            caster = trimesh.ray.ray_triangle.RayMeshIntersector(trimesh.Trimesh(vertices[own], [[0, 1, 2]]))
+            caster = trimesh.ray.ray_pyembree.RayMeshIntersector(trimesh.Trimesh(vertices[own], [[0, 1, 2]]))
             for k in range(3):
                 start, end = vertices[other[k]], vertices[other[(k + 1) % 3]]
                 places, _, _ = caster.intersects_location([start], [end - start])
