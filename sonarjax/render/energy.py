@@ -47,12 +47,13 @@ def object_energy(
         cell_ends, *along, has_aux=True
     )  # (slab, piece, cell end)
     slope = slope * slabs.width[:, None, None]
-    near, far = jnp.minimum(distance[..., 1:], distance[..., :-1]), jnp.maximum(distance[..., 1:], distance[..., :-1])
+    # The plane of a facet that is seen edge-on may pass close by the head: no point is beyond the facet's own corners.
+    near = jnp.clip(jnp.minimum(distance[..., 1:], distance[..., :-1]), nearest, farthest)
+    far = jnp.clip(jnp.maximum(distance[..., 1:], distance[..., :-1]), nearest, farthest)
     angle = jnp.diff(jnp.arctan(tau), axis=-1)
     energy = angle * strength((near + far) / 2, (cosine[..., 1:] + cosine[..., :-1]) / 2, sonar) / 2
     energy = jnp.where(ends.surface[:, :pieces, None] >= 0, energy, 0.0)
-    # Half of the energy at each of the slab's two Gauss nodes, spread over half of what the surface moves by. A facet
-    # that is seen edge-on moves fast, but not beyond its own corners.
+    # Half of the energy at each of the slab's two Gauss nodes, spread over half of what the surface moves by.
     moved, widen = ((v[..., 1:] + v[..., :-1]) / 2 for v in (GAUSS * slope, jnp.abs(slope) / 4))
 
     def both(shifted: Array, sign: float) -> Array:
