@@ -61,9 +61,14 @@ class Outline(NamedTuple):
     stretches: Bool[Array, "slab stretch"]
     """Which stretches exist."""
 
+    @property
+    def on_object(self) -> Bool[Array, "end"]:
+        """Which ends (2 run + 2 stretch,) lie on the object; those of stretches lie on the floor behind it."""
+        return jnp.arange(self.ends.tau.shape[1]) < 2 * self.runs.shape[1]
+
 
 def max_items(crossings: int) -> tuple[int, int]:
-    """How many runs and stretches a slice keeps; further ones are joined to the last.
+    """How many runs, and how many stretches, a slice keeps; further ones are joined to the last.
 
     A run shows at least a triangle or two, a body that stands alone more.
     """
@@ -79,7 +84,7 @@ def piece_range(line: Float[Array, "*#batch 2"], tau: Float[Array, "*#batch"]) -
 def find_outline(
     pieces: Pieces,
     segments: Segments,
-    table: Int[Array, "slab_or_1 candidate"],
+    table: Int[Array, "slab candidate"],
     lit: Bool[Array, "slab piece"],
     items: tuple[int, int],
 ) -> Outline:
@@ -152,11 +157,8 @@ def _extreme(value: Float[Array, "slab piece"], chain: Bool[Array, "slab piece i
 def _ends(
     pieces: Pieces, segments: Segments, table: Array, piece: Array, upper_end: Array, exists: Array, foot: Array
 ) -> Ends:
-    slabs = len(piece)
-
     def take(values: Array, index: Array) -> Array:
-        values = jnp.broadcast_to(values, (slabs, *values.shape[1:]))
-        return jnp.take_along_axis(values.reshape(slabs, -1), index, axis=1)
+        return jnp.take_along_axis(values.reshape(len(piece), -1), index, axis=1)
 
     side = 2 * piece + upper_end
     end, how, tau = take(pieces.end, side), take(pieces.how, side), take(pieces.tau, side)
@@ -166,7 +168,7 @@ def _ends(
     return Ends(jnp.where(exists, surface, -1), take(table, end // 2), kind, take(segments.edge, end), tau, foot)
 
 
-def all_ends(pieces: Pieces, segments: Segments, table: Int[Array, "slab_or_1 candidate"]) -> Ends:
+def all_ends(pieces: Pieces, segments: Segments, table: Int[Array, "slab candidate"]) -> Ends:
     """The ends (slab, 2 × piece) of every visible piece, all lower ones first, for the energy integral."""
     piece = jnp.broadcast_to(jnp.arange(pieces.winner.shape[1]), pieces.winner.shape)
     solid = (pieces.winner >= 0) & (pieces.tau[..., 1] - pieces.tau[..., 0] > EMPTY_TAU)
@@ -236,7 +238,7 @@ def trace_ranges(outline: Outline, azimuth: Float[Array, "slab"], scene: Scene) 
     corners = corners_of(scene, ends.surface)
     surface = plane_line(corners, theta)
     tau, edge_range = trace_tau(ends, theta, scene, surface)
-    on_object = jnp.arange(ends.tau.shape[1]) < 2 * outline.runs.shape[1]
+    on_object = outline.on_object
     line = [jnp.where(on_object, o, f) for o, f in zip(surface, floor_line(theta, scene.view), strict=True)]
     # No point of a triangle is nearer than its nearest corner or farther than its farthest, as seen along the slice;
     # the plane of a facet seen edge-on is, as soon as it is followed to another azimuth.
@@ -267,8 +269,7 @@ def facet_width(outline: Outline, azimuth: Float[Array, "slab"], scene: Scene) -
     corners = corners_of(scene, ends.source)
     edge = jnp.stack([_corner(corners, ends.edge), _corner(corners, (ends.edge + 1) % 3)], axis=-2)
     surface = around(corners_of(scene, ends.surface))
-    on_object = jnp.arange(surface.shape[1]) < 2 * outline.runs.shape[1]
-    width = jnp.where(on_object, surface, jnp.inf)
+    width = jnp.where(outline.on_object, surface, jnp.inf)
     return jnp.where(ends.kind == EDGE, jnp.minimum(width, around(edge)), width)
 
 

@@ -67,7 +67,7 @@ class Visible(NamedTuple):
 
     pieces: Pieces
     segments: Segments
-    table: Int[Array, "slab_or_1 candidate"]
+    table: Int[Array, "slab candidate"]
     outline: Outline
 
 
@@ -118,9 +118,9 @@ def render_window(mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, sub_beam
     visible = find_visible(mesh, scene, slabs, sonar, elevations)
     edges = sonar.range_min + sonar.range_bin * (window.row + jnp.arange(rows + 1, dtype=jnp.float32))
     middle, half = _swept_ends(visible.outline, slabs, scene, sonar, edges)
-    on_object = 2 * visible.outline.runs.shape[1]
-    highlight = _highlight(visible.outline, middle[:, :on_object], half[:, :on_object], slabs, sonar, rows)
-    hidden = covered(_pairs(middle[:, on_object:]), _pairs(half[:, on_object:]), visible.outline.stretches, rows)
+    n_object = 2 * visible.outline.runs.shape[1]  # the first ends lie on the object, the others on the floor
+    highlight = _highlight(visible.outline, middle[:, :n_object], half[:, :n_object], slabs, sonar, rows)
+    hidden = covered(_pairs(middle[:, n_object:]), _pairs(half[:, n_object:]), visible.outline.stretches, rows)
     shadow = _per_beam(slabs, hidden)
     ends = all_ends(visible.pieces, visible.segments, visible.table)
     echo = _per_beam(slabs, object_energy(ends, slabs, scene, sonar, elevations, edges))
@@ -146,12 +146,11 @@ def _swept_ends(
     outline: Outline, slabs: Slabs, scene: Scene, sonar: Sonar, edges: Float[Array, "edge"]
 ) -> tuple[Float[Array, "slab end"], Float[Array, "slab end"]]:
     """Ranges [bins] of the outline's ends in the middle of each slab, and half of what they move by across it."""
-    on_object = jnp.arange(outline.ends.tau.shape[1]) < 2 * outline.runs.shape[1]
 
     def bins(azimuth: Float[Array, "slab"]) -> Float[Array, "slab end"]:
         ranges = trace_ranges(outline, azimuth, scene)
         if sonar.floor is not None:  # only a floor that is there is hidden
-            ranges = jnp.where(on_object, ranges, jnp.clip(ranges, *patch_span(azimuth, scene, sonar)))
+            ranges = jnp.where(outline.on_object, ranges, jnp.clip(ranges, *patch_span(azimuth, scene, sonar)))
         return (ranges - edges[0]) / sonar.range_bin
 
     middle, slope = jax.jvp(bins, (slabs.middle,), (jnp.ones_like(slabs.middle),))

@@ -94,7 +94,10 @@ class Mesh:
         return _padded(surface, closed)
 
     def with_vertices(self, vertices: Float[Array, "vertex 3"]) -> Mesh:
-        """The same mesh with other vertex positions (vertex, 3) [m] (to differentiate a shape)."""
+        """The same mesh with other vertex positions (vertex, 3) [m] (to differentiate a shape).
+
+        `crossings`, `front`, `radius` and `top` are kept: for another shape altogether use `from_arrays`.
+        """
         return replace(self, vertices=vertices)
 
     @property

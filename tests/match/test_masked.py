@@ -121,3 +121,20 @@ def test_equals_a_loop_on_a_real_frame(
     counted = maps != 0
     assert counted.any(axis=(1, 2)).all()
     np.testing.assert_allclose(maps[counted], expected[counted], atol=1e-4)
+
+
+def test_a_whole_template_cannot_hide_behind_the_mask():
+    """`whole` takes the template's norm over all of it: eq. 4 by hand, and never more than over the measured part."""
+    rng = np.random.default_rng(5)
+    image, template = rng.random((20, 12)).astype(np.float32), rng.random((1, 8, 6)).astype(np.float32)
+    mask = rng.random(image.shape) < 0.7
+    part, whole = (match_positions(image, template, mask, whole=w) for w in (False, True))
+    row, col = int(whole.row[0]), int(whole.col[0])
+    here = mask[row : row + 8, col : col + 6]
+    seen, drawn = image[row : row + 8, col : col + 6][here], template[0][here]
+    norm = np.linalg.norm(template[0] - template[0].mean())
+    expected = ((seen - seen.mean()) * drawn).sum() / (np.linalg.norm(seen - seen.mean()) * norm)
+    assert float(whole.scores[0]) == pytest.approx(expected, abs=1e-4)
+    assert float(whole.scores[0]) < float(part.scores[0])
+    everywhere = [match_positions(image, template, np.ones_like(mask), whole=w).scores for w in (False, True)]
+    np.testing.assert_allclose(*everywhere, atol=1e-5)
