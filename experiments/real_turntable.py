@@ -30,10 +30,12 @@ from tqdm import tqdm
 
 import sonarjax as sj
 from sonarjax.io import write_text
+from sonarjax.match import between_bins
 from sonarjax.match.ncc import correlation_maps, prepare_bank
 from sonarjax.plot import draw_outline, plot_polar, save_figure
+from sonarjax.recognize import REFINE_BLURS_PX, REFINE_BOUNDS
 from sonarjax.render.bank import bank_place
-from sonarjax.render.region import floor_point
+from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS, floor_point
 from sonarjax.segment import segment, to_grey
 
 PROJECT = Path(__file__).resolve().parents[1]
@@ -44,6 +46,9 @@ BASELINES = {
 }
 """Median and 90th percentile [deg] of the plain method in the data's README."""
 AIM = (1.7, 4.5)
+AS_RECOGNIZE: dict[str, Any] = {
+    "sharpness": 0.0, "bounds": REFINE_BOUNDS, "blurs": REFINE_BLURS_PX, "margin": (MARGIN_BINS, MARGIN_BEAMS),
+}  # fmt: skip
 SEGMENTERS, SEARCHES = ("none", "otsu"), ("recognize", "tight crop", "fixed window")
 
 
@@ -163,7 +168,7 @@ def by_recognize(data: Data, settings: Settings, segmenter: str) -> Found:
         best = int(np.argmax(result.scores_by_yaw))
         step = 2 * math.pi / len(result.scores_by_yaw)
         yaws["bin"].append(result.yaw_bin)
-        yaws["bin, parabola"].append(result.yaw_bin + step * _vertex(result.scores_by_yaw, best))
+        yaws["bin, parabola"].append(result.yaw_bin + step * between_bins(result.scores_by_yaw, best))
         if settings.refine:
             yaws["refined"].append(result.yaw)
         found.poses.append(sj.Pose(result.x, result.y, result.yaw))
@@ -193,13 +198,15 @@ def at_known_place(data: Data, settings: Settings, segmenter: str, search: str, 
         flat = maps.reshape(len(maps), -1)
         scores = flat.max(1).reshape(2, half).mean(0)  # the two half turns show the same pipe
         best = int(scores.argmax())
-        yaw = angles[best] + math.pi / half * _vertex(scores, best)
+        yaw = angles[best] + math.pi / half * between_bins(scores, best)
         # The template moved by whole pixels is where refining starts.
         row, column = np.unravel_index(int(flat[best].argmax()), maps.shape[1:])
         x, y = float(places[0][row, column]), float(places[1][row, column])
         pose = sj.Pose(x, y, yaw)
         if settings.refine:
-            refined = jax.tree.map(float, sj.refine_yaw(grey, data.mesh, data.sonar, pose, mask=mask).pose)
+            refined = jax.tree.map(
+                float, sj.refine_yaw(grey, data.mesh, data.sonar, pose, mask=mask, **AS_RECOGNIZE).pose
+            )
             pose = sj.Pose(refined.x, refined.y, refined.yaw)
             yaws["refined"].append(float(pose.yaw))
         found.seconds.append(time.perf_counter() - start)
@@ -218,13 +225,6 @@ def _moved(sonar: sj.Sonar, bank: sj.TemplateBank, rows: np.ndarray, columns: np
     moved = np.interp(beam, np.arange(len(centers)), centers)
     x, y = floor_point(slant + rows * float(sonar.range_bin), moved, sonar)
     return np.asarray(x), np.asarray(y)
-
-
-def _vertex(scores: np.ndarray, best: int) -> float:
-    """Where between -0.5 and 0.5 steps from `best` the parabola through it and its neighbours is highest."""
-    left, middle, right = (float(scores[(best + k) % len(scores)]) for k in (-1, 0, 1))
-    bend = left - 2 * middle + right
-    return 0.0 if bend >= 0 else float(np.clip(0.5 * (left - right) / bend, -0.5, 0.5))
 
 
 def _turn(angle: Any) -> Any:

@@ -12,9 +12,10 @@ import numpy as np
 
 from sonarjax._cores import side_by_side
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.match import PreparedBank, match_positions, peaks, prepare_bank
+from sonarjax.match import PreparedBank, between_bins, match_positions, peaks, prepare_bank
 from sonarjax.refine import YawEstimate, refine_yaw
 from sonarjax.render import TemplateBank, bank_place, floor_point, object_columns, template_bank, window_shape
+from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS
 from sonarjax.scene import Mesh, Pose
 from sonarjax.segment import check_segmenter, segment, to_grey
 from sonarjax.sonar import Sonar
@@ -25,7 +26,9 @@ MIN_VALID = 0.5  # least share of a template's pixels that were measured, where 
 RANGE_STEP_M = 0.1  # templates 0.3 m off in distance lose 10 points of accuracy
 DECIMATION = 4  # range bins that are one in that search
 HYPOTHESES = 2
-REFINE_BOUNDS = (math.radians(20.0), 0.06, 0.06)  # from a match: two bins of yaw [rad], some pixels of x and y [m]
+# Refining starts at a match, so no blur has to widen the basin: a coarse one follows the uneven floor of a grey frame.
+REFINE_BOUNDS = (math.radians(10.0), 0.06, 0.06)  # a bin of yaw [rad], some pixels of x and y [m]
+REFINE_BLURS_PX = (2.0, 0.8)
 SAME_YAW = math.radians(8.0)  # refined hypotheses closer than this are one
 THRESHOLDS = {"none": 0.551, "otsu": 0.616}
 """Least score of an identified target, for each segmenter; validation frames of experiments/fit_threshold.py."""
@@ -241,9 +244,14 @@ def recognize(
     starts = np.where(valid, np.asarray(found.yaw), _wrap(yaws[scores.argmax()]))
     hypotheses, estimate = _hypotheses(starts, np.where(valid, np.asarray(found.score), scores.max())), None
     if refine:
-        pose = Pose(np.full(HYPOTHESES, x), np.full(HYPOTHESES, y), starts)
+        between = [between_bins(scores, int(k)) for k in np.where(valid, np.asarray(found.yaw_bin), scores.argmax())]
+        turned = starts + np.array(between) * (2 * math.pi / len(scores))
+        pose = Pose(np.full(HYPOTHESES, x), np.full(HYPOTHESES, y), turned)
         # What a threshold makes of speckle is no label image: on validation frames a plain template does best for it.
-        estimate = refine_yaw(semantic, mesh, sonar, pose, mask=mask, bounds=REFINE_BOUNDS, sharpness=0.0)
+        estimate = refine_yaw(
+            semantic, mesh, sonar, pose, mask=mask, sharpness=0.0,
+            bounds=REFINE_BOUNDS, blurs=REFINE_BLURS_PX, margin=(MARGIN_BINS, MARGIN_BEAMS),
+        )  # fmt: skip
         hypotheses = _hypotheses(*(np.asarray(v) for v in (estimate.yaw, estimate.score, estimate.yaw_std)))
         x, y = _place_of_best(estimate)
     limit = THRESHOLDS[segmenter] if threshold is None else float(threshold)

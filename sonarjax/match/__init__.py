@@ -4,7 +4,7 @@ Takes a frame or semantic map (range, beam) and a bank of templates (yaw, h, w);
 records. Imports nothing of the package but its error.
 """
 
-from sonarjax.match.decision import Decision, Peaks, decide, peaks
+from sonarjax.match.decision import Decision, Peaks, between_bins, decide, peaks
 from sonarjax.match.ncc import (
     MatchPositions,
     PreparedBank,
@@ -21,6 +21,7 @@ __all__ = [
     "Peaks",
     "PreparedBank",
     "TemplateSpectra",
+    "between_bins",
     "correlation_maps",
     "decide",
     "match_bank",

@@ -11,6 +11,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 
@@ -91,6 +92,16 @@ def peaks(
         prominence=jnp.where(valid, rise[chosen], 0.0),
         valid=valid,
     )
+
+
+def between_bins(scores: Float[np.ndarray, " yaw"], best: int) -> float:
+    """Where the parabola through bin `best` and its neighbours is highest, in bins from it: -0.5 to 0.5.
+
+    `scores` (yaw,) go around the full circle.
+    """
+    left, middle, right = (float(scores[(best + k) % len(scores)]) for k in (-1, 0, 1))
+    bend = left - 2 * middle + right
+    return 0.0 if bend >= 0 else min(max(0.5 * (left - right) / bend, -0.5), 0.5)
 
 
 def prominence(scores: Float[Array, " yaw"]) -> Float[Array, " yaw"]:

@@ -24,6 +24,9 @@ LOST_TEMPLATE = 1e-4
 MIN_VALID = 0.3
 """Share of a template's pixels that must be measured under it, else it scores 0."""
 
+MIN_ECHO = 0.5
+"""Share of a template's highlight that must be measured where the whole template has to be there."""
+
 
 class MaskedFrame(NamedTuple):
     """What masked matching needs of a frame, whatever the template."""
@@ -65,17 +68,23 @@ def masked_maps(
     frame: MaskedFrame,
     planes: Complex[Array, "pair range beam"],
     squares: Complex[Array, "pair range beam"],
+    echoes: Complex[Array, "pair range beam"],
     whole: bool = False,
 ) -> Float[Array, "pair two row col"]:
-    """Masked eq. 4 at all window positions for pairs of unit templates (`planes`) and their squares.
+    """Masked eq. 4 at all window positions for pairs of unit templates (`planes`), their squares and `echoes`.
 
     With `whole` a template's norm is taken over all of it: what lies over unmeasured pixels then counts as unmatched.
+    And a template scores 0 unless MIN_ECHO of its highlight was measured: its shadow alone is no match, for any dark
+    corner at the edge of the measured pixels would do.
     """
     shape = (frame.mean.shape[0], frame.mean.shape[1])
     total = correlate(frame.valid, planes, shape)  # Σ T over measured pixels
     energy = correlate(frame.valid, squares, shape) - jnp.square(total) / frame.pixels
     product = correlate(frame.signal, planes, shape) - frame.mean * total
-    return product * frame.scale * ((energy > LOST_TEMPLATE) if whole else inverse_root(energy, LOST_TEMPLATE))
+    if not whole:
+        return product * frame.scale * inverse_root(energy, LOST_TEMPLATE)
+    seen = (energy > LOST_TEMPLATE) & (correlate(frame.valid, echoes, shape) >= MIN_ECHO)
+    return product * frame.scale * seen
 
 
 class WeightedFrame(NamedTuple):

@@ -96,7 +96,8 @@ def match_positions(
     """Scores (yaw,) as `match_bank` of `image` (range, beam), and the corner of the window that reached each.
 
     The corner is the top-left one, row (yaw,) and column (yaw,). `template_mask` is (yaw, h, w). With `whole`, the part
-    of a template over pixels that `mask` leaves out counts as unmatched: none can hide there. Errors as there.
+    of a template over pixels that `mask` leaves out counts as unmatched, and half of its highlight must be measured:
+    none can hide there. Errors as there.
     """
     return _match(image, bank, mask, template_mask, min_valid, _best_position, whole)
 
@@ -176,10 +177,10 @@ def _match_masked(
 ) -> Any:
     frame = masked_frame(image, mask, spectra.template_shape, min_valid)
 
-    def chunk(planes: tuple[Array, Array]) -> Any:
+    def chunk(planes: tuple[Array, Array, Array]) -> Any:
         return reduce(masked_maps(frame, *planes, whole))
 
-    return _per_yaw(over_chunks(chunk, (spectra.planes, spectra.squares)), spectra.yaw_count)
+    return _per_yaw(over_chunks(chunk, (spectra.planes, spectra.squares, spectra.echoes)), spectra.yaw_count)
 
 
 @partial(jax.jit, static_argnums=5)

@@ -19,6 +19,7 @@ from sonarjax.io.errors import SonarjaxError
 
 CHUNK_BYTES = {"cpu": 5 << 19, "gpu": 1 << 28, "tpu": 1 << 28}
 """Spectra worked on at once [bytes]: about two cores' second-level caches, or enough for an accelerator."""
+BACKGROUND = 0.5  # grey of a semantic map's background; highlight is brighter
 CONSTANT_TEMPLATE = 1e-10
 """A template whose variance is below this share of its mean square is constant: it scores 0."""
 
@@ -32,6 +33,8 @@ class TemplateSpectra:
     """Conjugate spectra of templates 2p (+ i times those of 2p + 1), zero-padded to the transform's size."""
     squares: Complex[Array, "*batch chunk pair range beam"] | None
     """The same of the squared templates, which masked matching needs; None if it was not asked for."""
+    echoes: Complex[Array, "*batch chunk pair range beam"] | None
+    """The same of their highlight alone, scaled to sum 1; None as `squares`."""
     yaw_count: int = field(metadata={"static": True})
     """Number of templates; the planes may hold a few empty ones more."""
     template_shape: tuple[int, int] = field(metadata={"static": True})
@@ -57,8 +60,16 @@ def template_spectra(
     unit = unit_templates(templates)
     planes = pack(unit, image_shape)
     squares = pack(jnp.square(unit), image_shape) if masked else None
-    height, width = templates.shape[1:]
-    return TemplateSpectra(planes, squares, templates.shape[0], (height, width), (image_shape[0], image_shape[1]))
+    echoes = pack(_echo_shares(templates), image_shape) if masked else None
+    sizes = (templates.shape[1], templates.shape[2]), (image_shape[0], image_shape[1])
+    return TemplateSpectra(planes, squares, echoes, templates.shape[0], *sizes)
+
+
+def _echo_shares(templates: Float[Array, "yaw h w"]) -> Float[Array, "yaw h w"]:
+    """Each pixel's share of its template's highlight, what exceeds the background's grey; even where there is none."""
+    bright = jnp.maximum(templates - BACKGROUND, 0.0)
+    total = jnp.sum(bright, axis=(1, 2), keepdims=True)
+    return jnp.where(total > 0, bright / jnp.where(total > 0, total, 1.0), 1.0 / templates[0].size)
 
 
 def check_shapes(templates: tuple[int, ...], image: tuple[int, ...]) -> None:

@@ -102,10 +102,14 @@ def crop_score(
     margin: tuple[int, int],
 ) -> Float[Array, ""]:
     """NCC (eq. 4) of a rendered template and the image over the template's own box and a `margin` (bins, beams)."""
-    touched = jnp.abs(drawn - 0.5) > 0.01
-    box = _extent(touched.any(axis=1), margin[0])[:, None] & _extent(touched.any(axis=0), margin[1])
-    inside = weight * box
+    inside = weight * box_around(drawn, margin)
     return (normalised(image, inside) * normalised(drawn, inside)).sum()
+
+
+def box_around(drawn: Float[Array, "range beam"], margin: tuple[int, int]) -> Bool[Array, "range beam"]:
+    """The box of what a template shows, with a `margin` (bins, beams) around it."""
+    touched = jnp.abs(drawn - 0.5) > 0.01
+    return _extent(touched.any(axis=1), margin[0])[:, None] & _extent(touched.any(axis=0), margin[1])
 
 
 def _extent(touched: Bool[Array, "size"], margin: int) -> Bool[Array, "size"]:

@@ -13,9 +13,9 @@ from jaxtyping import Array, Bool, Float
 
 from sonarjax._cores import SINGLE_CORE, on_all_cores
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.refine.objective import Problem, crop_score, normalised, pose_at
+from sonarjax.refine.objective import Problem, box_around, crop_score, normalised, pose_at
 from sonarjax.refine.solver import Found, coarse_to_fine
-from sonarjax.render import Window, object_columns, place_window, window_shape
+from sonarjax.render import Window, object_columns, place_window, semantic_window, window_shape
 from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS
 from sonarjax.scene import Mesh, Pose
 from sonarjax.sonar import Sonar
@@ -26,6 +26,7 @@ BLURS_PX = (8.0, 2.0, 0.8)
 """Standard deviations of the blur in range bins, coarse to fine: the coarse ones widen the basin."""
 ITERATIONS = 4
 SUB_BEAMS = 1
+ELEVATIONS = 64
 SHARPNESS = 10.0
 SLACK_M = 0.06
 CONVERGED_SHARE = 0.05  # of the trust region: a step still to go that counts as none
@@ -70,6 +71,7 @@ def refine_yaw(
     iterations: int = ITERATIONS,
     sub_beams: int = SUB_BEAMS,
     sharpness: float = SHARPNESS,
+    margin: tuple[int, int] | None = None,
 ) -> YawEstimate:
     """Refine yaw, x and y of the object from `start` by Levenberg–Marquardt on 1 − NCC of the rendered template.
 
@@ -77,7 +79,9 @@ def refine_yaw(
     leading batch axis, `start` holds one pose a frame. A start whose fields have one more axis holds several
     hypotheses a frame, and the estimate keeps that axis. `mask`, of the image's shape, is true where a pixel was
     measured. `bounds` are the largest changes of yaw [rad], x and y [m]. `sharpness` is for images of labels, where a
-    pixel is of one class or another; 0 fits a grey image, which mixes them.
+    pixel is of one class or another; 0 fits a grey image, which mixes them. With a `margin` (bins, beams) only the box
+    of the start's template and so much around it counts: for a grey image, whose floor is no even background, and a
+    start that is good already.
 
     Raises SonarjaxError when the shapes do not fit the sonar.
     """
@@ -104,7 +108,7 @@ def refine_yaw(
 
     def part(jobs: tuple[Array, Pose]) -> YawEstimate:
         return refine(
-            images, weights, mesh, sonar, jobs, limits, sharp, shape, beams, tuple(blurs), iterations, sub_beams
+            images, weights, mesh, sonar, jobs, limits, sharp, shape, beams, tuple(blurs), iterations, sub_beams, margin
         )
 
     found = on_all_cores(part, (which, starts))
@@ -127,13 +131,17 @@ def _window_size(mesh: Mesh, sonar: Sonar, start: Pose, bounds: tuple[float, ...
 def _refine(
     images: Array, weights: Array, mesh: Mesh, sonar: Sonar, jobs: tuple[Array, Pose], bounds: Array, sharpness: Array,
     shape: tuple[int, int], beams: int, blurs: tuple[float, ...], iterations: int, sub_beams: int,
+    margin: tuple[int, int] | None,
 ) -> YawEstimate:  # fmt: skip
     def one(job: tuple[Array, Pose]) -> YawEstimate:
         frame, start = job
         window = place_window(shape, mesh, sonar, start.x, start.y, SLACK_M)
         corner = (frame, window.row, window.column)
         part, measured = (jax.lax.dynamic_slice(v, corner, (1, *shape))[0] for v in (images, weights))
-        problem = Problem(part, measured, start, Window(window.row, window.column, shape, beams), sharpness)
+        inner = Window(window.row, window.column, shape, beams)
+        if margin is not None:
+            measured = measured * box_around(semantic_window(mesh, start, sonar, inner, sub_beams, ELEVATIONS), margin)
+        problem = Problem(part, measured, start, inner, sharpness)
         return _estimate(problem, coarse_to_fine(problem, mesh, sonar, bounds, blurs, iterations, sub_beams), bounds)
 
     # One after another on a CPU, where a batch would only spill the caches; side by side on an accelerator.
@@ -143,7 +151,7 @@ def _refine(
 
 _refine_compiled = jax.jit(
     _refine,
-    static_argnames=("shape", "beams", "blurs", "iterations", "sub_beams"),
+    static_argnames=("shape", "beams", "blurs", "iterations", "sub_beams", "margin"),
     compiler_options=SINGLE_CORE,
 )
 

@@ -53,14 +53,14 @@ def object_energy(
     angle = jnp.diff(jnp.arctan(tau), axis=-1)
     energy = angle * strength((near + far) / 2, (cosine[..., 1:] + cosine[..., :-1]) / 2, sonar) / 2
     energy = jnp.where(ends.surface[:, :pieces, None] >= 0, energy, 0.0)
-    # Half of the energy at each of the slab's two Gauss nodes, spread over half of what the surface moves by.
-    moved, widen = ((v[..., 1:] + v[..., :-1]) / 2 for v in (GAUSS * slope, jnp.abs(slope) / 4))
+    centre, moved = (near + far) / 2, (slope[..., 1:] + slope[..., :-1]) / 8
+    half = jnp.sqrt((far - near) ** 2 / 4 + moved**2 + 1e-14)
 
-    def both(shifted: Array, sign: float) -> Array:
-        ends = jnp.stack([shifted - moved, shifted + moved], axis=-1) + (sign * widen)[..., None]
-        return jnp.clip(ends, nearest[..., None], farthest[..., None]).reshape(len(shifted), -1)
+    def both(sign: float) -> Array:
+        ends = jnp.stack([centre - moved, centre + moved], axis=-1) + (sign * half)[..., None]
+        return jnp.clip(ends, nearest[..., None], farthest[..., None]).reshape(len(centre), -1)
 
-    return _spread(jnp.repeat(energy, 2, axis=-1).reshape(len(energy), -1), both(near, -1.0), both(far, 1.0), edges)
+    return _spread(jnp.repeat(energy, 2, axis=-1).reshape(len(energy), -1), both(-1.0), both(1.0), edges)
 
 
 def _cells(ends: Ends, azimuth: Float[Array, "slab"], scene: Scene, cells: int) -> tuple[Array, ...]:

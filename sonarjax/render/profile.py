@@ -18,6 +18,7 @@ from sonarjax.render.envelope import Pieces
 from sonarjax.render.segments import (
     CROSSING,
     EDGE,
+    FIXED,
     FLOOR,
     NEAR_M,
     TAU_MAX,
@@ -31,6 +32,7 @@ from sonarjax.render.segments import (
 EMPTY_TAU = 1e-7  # a piece narrower than this is nothing
 HORIZON = 1e-4  # least 1/planar range [1/m]: farther surfaces are put at 10 km
 MOST_ITEMS = 12
+SMOOTH_COSINE = math.cos(math.radians(20.0))  # a sharper bend is an edge of the body
 GAP = 1e-4  # relative step in range that ends a run: ten times float32's error, far below any sonar's resolution
 
 
@@ -87,12 +89,18 @@ def find_outline(
     table: Int[Array, "slab candidate"],
     lit: Bool[Array, "slab piece"],
     items: tuple[int, int],
+    sampled: bool,
 ) -> Outline:
-    """Chains of visible pieces; `table` holds the candidates' triangle ids, `lit` the pieces that give highlight."""
+    """Chains of visible pieces; `table` holds the candidates' triangle ids, `lit` the pieces that give highlight.
+
+    Between neighbouring pieces of a `sampled` profile others were passed over: a step in range that the two pieces'
+    own slopes explain is then no gap.
+    """
     solid = pieces.winner >= 0
     line = _of_candidate(segments.line, pieces.winner)
     start, end = (piece_range(line, pieces.tau[..., k]) for k in (0, 1))
-    same_range = jnp.abs(_previous(end) - start) < GAP * start
+    slope = jnp.abs(end - start) if sampled else jnp.zeros_like(start)
+    same_range = jnp.abs(_previous(end) - start) < GAP * start + jnp.maximum(slope, _previous(slope))
     shown = solid & lit
     run = _chain(shown, shown & ~(_previous(shown) & same_range), items[0])
     stretch = _chain(solid, solid & ~_previous(solid), items[1])
@@ -169,12 +177,30 @@ def _ends(
 
 
 def all_ends(pieces: Pieces, segments: Segments, table: Int[Array, "slab candidate"]) -> Ends:
-    """The ends (slab, 2 × piece) of every visible piece, all lower ones first, for the energy integral."""
+    """The ends (slab, 2 × piece) of every visible piece, all lower ones first, for the energy integral.
+
+    Where a surface goes on smoothly across an edge of its tessellation, the end stays at its elevation: both sides
+    show the same ranges there, and such an edge may sweep over the whole surface within one slab.
+    """
     piece = jnp.broadcast_to(jnp.arange(pieces.winner.shape[1]), pieces.winner.shape)
     solid = (pieces.winner >= 0) & (pieces.tau[..., 1] - pieces.tau[..., 0] > EMPTY_TAU)
     upper = jnp.repeat(jnp.array([False, True]), piece.shape[1]) & jnp.ones((len(piece), 1), bool)
     piece, solid = jnp.tile(piece, 2), jnp.tile(solid, 2)
-    return _ends(pieces, segments, table, piece, upper, solid, jnp.zeros_like(upper))
+    ends = _ends(pieces, segments, table, piece, upper, solid, jnp.zeros_like(upper))
+    below = _goes_on(pieces, segments)
+    above = jnp.pad(below[:, 1:], ((0, 0), (0, 1)))
+    return ends._replace(kind=jnp.where(jnp.concatenate([below, above], axis=1), FIXED, ends.kind))
+
+
+def _goes_on(pieces: Pieces, segments: Segments) -> Bool[Array, "slab piece"]:
+    """Pieces that continue the surface of the one below: no step in range, and no sharper bend than a smooth body's."""
+    line = _of_candidate(segments.line, pieces.winner)
+    start, end = (piece_range(line, pieces.tau[..., k]) for k in (0, 1))
+    before = jnp.pad(line[:, :-1], ((0, 0), (1, 0), (0, 0)))
+    length = jnp.sqrt((line**2).sum(-1) + 1e-24)  # (a, b) is the normal of the surface as cut by the slice
+    straight = (line * before).sum(-1) > SMOOTH_COSINE * length * jnp.sqrt((before**2).sum(-1) + 1e-24)
+    solid = pieces.winner >= 0
+    return solid & _previous(solid) & straight & (jnp.abs(_previous(end) - start) < GAP * start)
 
 
 class Scene(NamedTuple):

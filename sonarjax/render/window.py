@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from sonarjax.render.candidates import candidates, front_faces
 from sonarjax.render.energy import floor_energy, floor_lit, object_energy
-from sonarjax.render.envelope import Pieces, visible_pieces
+from sonarjax.render.envelope import Pieces, is_sampled, visible_pieces
 from sonarjax.render.footprint import covered
 from sonarjax.render.patch import patch_lit, patch_span
 from sonarjax.render.profile import (
@@ -99,7 +99,7 @@ def find_visible(mesh: Mesh, scene: Scene, slabs: Slabs, sonar: Sonar, elevation
         if sonar.highlight_max_incidence < 90.0:
             cosine = incidence_cosine(pieces, segments, corners_of(fixed, table), azimuth)
             lit = lit_pieces(cosine, sonar.highlight_max_incidence)
-        return find_outline(pieces, segments, table, lit, max_items(mesh.crossings))
+        return find_outline(pieces, segments, table, lit, max_items(mesh.crossings), is_sampled(segments))
 
     segments = computed_once(cut_slabs, azimuth, table)
     pieces = visible_pieces(segments, mesh.crossing, elevations)
