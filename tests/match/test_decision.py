@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import peak_prominences
 
-from sonarjax.match import decide, peaks
+from sonarjax.match import between_bins, decide, peaks
 from sonarjax.match.decision import prominence
 
 YAWS = jnp.deg2rad(jnp.arange(0.0, 360.0, 10.0))
@@ -24,6 +24,14 @@ def test_decide_reports_the_best_bin_either_way() -> None:
     assert float(yes.score) == pytest.approx(0.7)
     with pytest.raises(AttributeError):
         yes.score = 1.0  # type: ignore[misc]
+
+
+@pytest.mark.parametrize("at", [6.8, 7.0, 7.3, 35.6])
+def test_a_peak_between_bins_is_found_by_its_parabola(at: float) -> None:
+    scores = np.asarray(0.5 + 0.2 * jnp.cos(YAWS - np.deg2rad(10 * at)))
+    best = int(scores.argmax())
+    assert (best + between_bins(scores, best)) % 36 == pytest.approx(at, abs=0.01)
+    assert between_bins(np.ones(36), 3) == 0.0
 
 
 def test_a_symmetric_curve_gives_two_hypotheses() -> None:

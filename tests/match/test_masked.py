@@ -138,3 +138,20 @@ def test_a_whole_template_cannot_hide_behind_the_mask():
     assert float(whole.scores[0]) < float(part.scores[0])
     everywhere = [match_positions(image, template, np.ones_like(mask), whole=w).scores for w in (False, True)]
     np.testing.assert_allclose(*everywhere, atol=1e-5)
+
+
+def test_a_shadow_alone_is_no_whole_match():
+    """A dark corner whose object would lie outside the mask scores 0 although all that was measured fits exactly."""
+    template = np.full((1, 12, 8), 0.5, np.float32)
+    template[0, :3, 2:6], template[0, 3:, 2:6] = 1.0, 0.0  # an echo and its shadow behind it
+    image = 0.5 + 0.01 * np.random.default_rng(6).standard_normal((30, 20)).astype(np.float32)
+    image[10:19, 6:10] = 0.0  # the shadow; its echo would be in rows 7 to 9
+    mask = np.ones(image.shape, bool)
+    mask[:10] = False
+    assert match_positions(image, template, mask).scores[0] > 0.9  # the measured part alone fits
+    found = match_positions(image, template, mask, whole=True)
+    assert int(found.row[0]) >= 9 and found.scores[0] < 0.6
+    image[7:10, 6:10] = 1.0
+    mask[:] = True
+    found = match_positions(image, template, mask, whole=True)
+    assert (int(found.row[0]), int(found.col[0])) == (7, 4) and found.scores[0] > 0.9

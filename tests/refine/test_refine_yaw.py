@@ -142,3 +142,19 @@ def test_normalised_image_has_unit_norm_over_what_was_measured():
     assert float((out * weight).sum()) == pytest.approx(0, abs=1e-5)
     assert float((out**2).sum()) == pytest.approx(1, abs=1e-5)
     np.testing.assert_allclose(normalised(jnp.full((6, 5), 0.3), weight), 0.0, atol=1e-3)
+
+
+def test_a_margin_leaves_out_what_lies_far_from_the_start(scene):
+    """A bright wall in the window pulls at the estimate; with a margin around the template it cannot."""
+    mesh, images, poses = scene
+    wall = images.copy()
+    row = int((math.hypot(2.3, 0.9) - float(SONAR.range_min)) / float(SONAR.range_bin))
+    wall[:, row - 80 : row - 60] = 1.0  # 0.3 m before the object's middle
+    start = near(poses, 1)
+    free, boxed, clean = (
+        sj.refine_yaw(frames, mesh, SONAR, start, margin=margin, blurs=(2.0, 0.8))
+        for frames, margin in ((wall, None), (wall, (12, 3)), (images, (12, 3)))
+    )
+    np.testing.assert_allclose(boxed.yaw, clean.yaw, atol=1e-4)
+    assert yaw_error_deg(boxed.yaw, poses[:, 0]).max() < 1.0
+    assert np.median(yaw_error_deg(free.yaw, poses[:, 0])) > np.median(yaw_error_deg(boxed.yaw, poses[:, 0]))
