@@ -192,6 +192,8 @@ def _ground_ranges(sonar: Sonar) -> np.ndarray:
     """Distances [m] at which a floor object can be in view, RANGE_STEP_M apart."""
     height, half = float(sonar.height), float(sonar.elevation_aperture) / 2
     steep, flat = float(sonar.tilt) + half, max(float(sonar.tilt) - half, 1e-3)
+    if steep <= 0:
+        raise SonarjaxError("sonar: it looks up: no part of the floor is inside its aperture")
     nearest = max(height / math.tan(min(steep, math.pi / 2 - 1e-3)), _ground(float(sonar.range_min), height))
     farthest = min(height / math.tan(flat), _ground(float(sonar.range_max), height))
     if farthest <= nearest:

@@ -52,12 +52,20 @@ def test_without_refinement_yaw_is_the_bin(recognize, rendered, tmp_path):
     assert "error" in wide
 
 
-def test_a_sonar_that_sees_no_floor_is_refused_at_once(complaint, place, rendered, tmp_path):
-    sonar, out = tmp_path / "short.toml", tmp_path / "r.jsonl"  # its window ends above the floor
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"range_min_m = 1.5": "range_min_m = 0.2", "range_max_m = 4.0": "range_max_m = 0.5"},  # ends above the floor
+        {"tilt_deg = 20.0": "tilt_deg = -30.0"},  # looks up
+    ],
+)
+def test_a_sonar_that_sees_no_floor_is_refused_at_once(complaint, place, rendered, tmp_path, changes):
+    sonar, out = tmp_path / "blind.toml", tmp_path / "r.jsonl"
     text = (place / "sonar.toml").read_text()
-    sonar.write_text(
-        text.replace("range_min_m = 1.5", "range_min_m = 0.2").replace("range_max_m = 4.0", "range_max_m = 0.5")
-    )
+    for old, new in changes.items():
+        assert old in text
+        text = text.replace(old, new)
+    sonar.write_text(text)
     files = ["--target", place / "brick.stl", "--sonar", sonar, "--out", out]
     assert "floor" in complaint(2, "recognize", rendered, *files)
     assert not out.exists()
