@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -63,15 +64,28 @@ def render_bounces(
     if not isinstance(mesh, Mesh):
         mesh, pose = place_together(mesh, pose)
     assert isinstance(pose, Pose)
-    floor = bounce_mesh(mesh, pose, sonar, 0.0, model.floor_path)
-    surface = bounce_mesh(mesh, pose, sonar, model.water_depth, model.surface_path)
-    first, second = (_without_floor(image, sonar, sub_beams, elevations) for image in (floor, surface))
-    return SonarFrame(
-        intensity=model.floor_bounce * first.intensity + model.surface_bounce * second.intensity,
-        highlight=jnp.maximum(first.highlight, second.highlight),
-        shadow=jnp.zeros_like(first.shadow),
-        lit=first.lit | second.lit,
+
+    def echo(mirror: tuple[Array, Array, Array]) -> SonarFrame:
+        plane, path, left = mirror
+        image = bounce_mesh(mesh, pose, sonar, plane, path)
+        seen = _without_floor(image, sonar, sub_beams, elevations)
+        return replace(seen, intensity=left * seen.intensity)
+
+    def silence(mirror: tuple[Array, Array, Array]) -> SonarFrame:
+        dark = jnp.zeros(sonar.shape)
+        return SonarFrame(dark, dark, dark, dark > 0)
+
+    planes, paths, left = (
+        jnp.stack([jnp.asarray(v, jnp.float32) for v in pair])
+        for pair in (
+            (0.0, model.water_depth),
+            (model.floor_path, model.surface_path),
+            (model.floor_bounce, model.surface_bounce),
+        )
     )
+    # One after the other, so that the renderer is compiled once, and not at all where nothing comes back.
+    found = jax.lax.map(lambda m: jax.lax.cond(m[2] > 0, echo, silence, m), (planes, paths, left))
+    return SonarFrame(found.intensity.sum(0), found.highlight.max(0), jnp.zeros(sonar.shape), found.lit.any(0))
 
 
 def _without_floor(mesh: Mesh, sonar: Sonar, sub_beams: int, elevations: int) -> SonarFrame:
