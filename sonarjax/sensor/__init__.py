@@ -27,6 +27,7 @@ from sonarjax.sensor.speckle import (
     correlate,
     gamma_of_normal,
     gamma_texture,
+    heavy_tails,
     multi_look,
     patchy_normal,
     range_kernel,
@@ -36,7 +37,8 @@ from sonarjax.sensor.speckle import (
 __all__ = [
     "SensorModel", "absorption_loss", "array_pattern", "azimuth_kernel", "beam_gains", "beam_mixing", "bounce_mesh",
     "bounce_points", "complex_field", "compress", "correlate", "crosstalk_mixing", "elevation_gain", "floor_elevation",
-    "fresh_absorption", "gamma_of_normal", "gamma_texture", "multi_look", "noise_floor", "observe", "observe_scene",
-    "patchy_normal", "pulse_blur", "quantise", "range_kernel", "range_middles", "received_energy", "reference_energy",
-    "reference_range", "render_bounces", "speckle", "speckle_intensity", "streaks", "time_varied_gain",
+    "fresh_absorption", "gamma_of_normal", "gamma_texture", "heavy_tails", "multi_look", "noise_floor", "observe",
+    "observe_scene", "patchy_normal", "pulse_blur", "quantise", "range_kernel", "range_middles", "received_energy",
+    "reference_energy", "reference_range", "render_bounces", "speckle", "speckle_intensity", "streaks",
+    "time_varied_gain",
 ]  # fmt: skip

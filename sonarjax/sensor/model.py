@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -20,7 +20,9 @@ class SensorModel:
     on the beam axis. The defaults are `nominal()`: a DIDSON in the paper's tank.
     """
 
-    object_gain: Scalar = 6.0
+    # Of the defaults, object_gain, noise, speckle, looks, texture and floor_bounce are the outcome of
+    # experiments/calibrate_sensor.py: mean correlation of frames of §4.1 with their own template 0.572 ± 0.03.
+    object_gain: Scalar = 8.0
     """Backscatter of objects relative to the floor's [dB]; the renderer gives both the same."""
     floor_lambert: Scalar = 0.0
     """Exponent of cos(incidence) in the floor's echo [1], beyond the renderer's own; 1 or 2 for Lambert's law."""
@@ -46,19 +48,21 @@ class SensorModel:
     """Share of a glint's energy that lights its whole range row [1]."""
     beam_gain_std: Scalar = 0.4
     """Standard deviation of the beams' gains [dB]."""
-    noise: Scalar = 0.03
+    noise: Scalar = 0.05
     """Receiver noise after the gain, at the range of the beam axis on the floor [energy of the floor there]."""
     speckle: Scalar = 1.0
-    """Standard deviation over mean of one look's speckle intensity [1], 0 to 1: 1 is fully developed."""
+    """Speckle of one look [1]: up to 1, fully developed, the intensity's standard deviation over its mean.
+
+    Above 1 the dB values spread by that factor: Weibull's law, heavier-tailed than Rayleigh's."""
     looks: Scalar = 1.0
     """Number of independent looks averaged [1], 1 to 4."""
-    texture: Scalar = 0.1
+    texture: Scalar = 0.15
     """Variance of the bottom's mean energy from patch to patch [1]: 1/shape of the K-distribution."""
     speckle_beams: Scalar = 0.8
     """Width of the speckle's correlation in azimuth [mean beam spacings]."""
     speckle_bins: Scalar = 0.25
     """Correlation of speckle intensity between neighbouring range bins [1], 0 to 0.5."""
-    floor_bounce: Scalar = 0.2
+    floor_bounce: Scalar = 0.3
     """Energy that a bounce on the floor leaves [1]."""
     floor_path: Scalar = 1.0
     """1 where the echo bounces on both ways, 0.5 on one of them [1]."""
@@ -90,23 +94,28 @@ class SensorModel:
     @classmethod
     def draw(cls, *, key: jax.Array, severity: Scalar = 1.0) -> SensorModel:
         """A device of the family DIDSON, ARIS, Oculus and beyond: each field drawn from `RANGES`, noise scaled."""
-        keys = jax.random.split(key, len(RANGES))
+        *keys, which = jax.random.split(key, len(RANGES) + 1)
         drawn = {}
         for (name, (low, high, kind)), part in zip(RANGES.items(), keys, strict=True):
             share = jax.random.uniform(part)
             drawn[name] = low * (high / low) ** share if kind == "log" else low + (high - low) * share
+        heard = jax.random.uniform(which, (2,)) < jnp.array([FLOOR_HEARD, SURFACE_HEARD])
+        drawn |= {
+            name: jnp.where(heard[i], drawn[name], 0.0) for i, name in enumerate(("floor_bounce", "surface_bounce"))
+        }
+        drawn["crosstalk_period"] = jnp.round(drawn["crosstalk_period"])
         return cls(**drawn).scaled(severity)
 
     def scaled(self, severity: Scalar) -> SensorModel:
-        """The same device with its noise and artefacts times `severity`; speckle stops at fully developed."""
-        values = {f.name: getattr(self, f.name) for f in fields(self)}
-        noisy = {name: severity * values[name] for name in SCALED}
-        speckle = jnp.clip(noisy["speckle"], 0.0, 1.0)
-        return SensorModel(**(values | noisy | {"speckle": speckle}))
+        """The same device with its noise and artefacts (`SCALED`) times `severity`."""
+        return replace(self, **{name: severity * getattr(self, name) for name in SCALED})
 
 
 SCALED = ("crosstalk", "streak", "beam_gain_std", "noise", "speckle", "texture", "floor_bounce", "surface_bounce")
 """Fields that grow with severity."""
+
+FLOOR_HEARD, SURFACE_HEARD = 0.7, 0.4
+"""Share of the drawn devices with a mirror in the floor, and in the water's surface."""
 
 RANGES: dict[str, tuple[float, float, str]] = {
     "object_gain": (2.0, 12.0, "even"),
@@ -123,7 +132,7 @@ RANGES: dict[str, tuple[float, float, str]] = {
     "streak": (0.0005, 0.02, "log"),
     "beam_gain_std": (0.1, 1.0, "even"),
     "noise": (0.005, 0.15, "log"),
-    "speckle": (0.6, 1.1, "even"),
+    "speckle": (0.6, 1.2, "even"),
     "looks": (1.0, 2.5, "even"),
     "texture": (0.02, 0.4, "log"),
     "speckle_beams": (0.3, 1.3, "even"),

@@ -31,6 +31,7 @@ from sonarjax.sensor.speckle import (
     complex_field,
     correlate,
     gamma_texture,
+    heavy_tails,
     multi_look,
     range_kernel,
     speckle_intensity,
@@ -95,7 +96,8 @@ def speckle(sonar: Sonar, model: SensorModel, *, key: jax.Array) -> Float[Array,
     diffuse = 1 - jnp.sqrt(jnp.maximum(1 - contrast**2, 1e-12))
     field = complex_field(sonar.shape, key=key)
     field = correlate(field, azimuth_kernel(sonar, model.speckle_beams), range_kernel(model.speckle_bins))
-    return multi_look(speckle_intensity(field, diffuse), model.looks)
+    intensity = heavy_tails(speckle_intensity(field, diffuse), jnp.maximum(model.speckle, 1.0))
+    return multi_look(intensity, model.looks)
 
 
 def observe_scene(
