@@ -65,27 +65,21 @@ def render_bounces(
         mesh, pose = place_together(mesh, pose)
     assert isinstance(pose, Pose)
 
-    def echo(mirror: tuple[Array, Array, Array]) -> SonarFrame:
+    def echo(mirror: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         plane, path, left = mirror
-        image = bounce_mesh(mesh, pose, sonar, plane, path)
-        seen = _without_floor(image, sonar, sub_beams, elevations)
-        return replace(seen, intensity=left * seen.intensity)
+        seen = _without_floor(bounce_mesh(mesh, pose, sonar, plane, path), sonar, sub_beams, elevations)
+        return left * seen.intensity, seen.highlight, seen.lit
 
-    def silence(mirror: tuple[Array, Array, Array]) -> SonarFrame:
+    def silence(mirror: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         dark = jnp.zeros(sonar.shape)
-        return SonarFrame(dark, dark, dark, dark > 0)
+        return dark, dark, dark > 0
 
-    planes, paths, left = (
-        jnp.stack([jnp.asarray(v, jnp.float32) for v in pair])
-        for pair in (
-            (0.0, model.water_depth),
-            (model.floor_path, model.surface_path),
-            (model.floor_bounce, model.surface_bounce),
-        )
-    )
+    floor = 0.0, model.floor_path, model.floor_bounce
+    surface = model.water_depth, model.surface_path, model.surface_bounce
+    mirrors = tuple(jnp.stack([jnp.asarray(v, jnp.float32) for v in pair]) for pair in zip(floor, surface, strict=True))
     # One after the other, so that the renderer is compiled once, and not at all where nothing comes back.
-    found = jax.lax.map(lambda m: jax.lax.cond(m[2] > 0, echo, silence, m), (planes, paths, left))
-    return SonarFrame(found.intensity.sum(0), found.highlight.max(0), jnp.zeros(sonar.shape), found.lit.any(0))
+    energy, share, lit = jax.lax.map(lambda m: jax.lax.cond(m[2] > 0, echo, silence, m), mirrors)
+    return SonarFrame(energy.sum(0), share.max(0), jnp.zeros(sonar.shape), lit.any(0))
 
 
 def _without_floor(mesh: Mesh, sonar: Sonar, sub_beams: int, elevations: int) -> SonarFrame:

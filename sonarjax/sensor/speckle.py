@@ -15,6 +15,7 @@ from sonarjax.sonar import Sonar
 
 MAX_LOOKS = 4
 """Most looks that `multi_look` averages."""
+LOOK_SHIFTS = (0, 1, 3, 9)  # thirteenths of the image: all differences differ, so two pixels share one look at most
 PATCH = (16, 4)
 """Spacing (range bins, beams) of the patches of an uneven bottom."""
 
@@ -32,7 +33,7 @@ def azimuth_kernel(sonar: Sonar, reach: Any) -> Float[Array, "beam source"]:
     """Matrix (beam, source) that correlates a white field over azimuth; its rows have unit energy.
 
     Gaussian in the azimuth difference, of width `reach` in mean beam spacings. The intensity's autocorrelation at a
-    lag of n spacings is exp(−n²/(2 reach²)) for a reach above 0.6: 0.60 at one beam for 0.99.
+    lag of n spacings is exp(−n²/(2 reach²)), to 2 % for a reach above 0.8: 0.60 at one beam for 0.99.
     """
     azimuth = jnp.asarray(sonar.azimuth, jnp.float32)
     spacing = (azimuth[-1] - azimuth[0]) / max(sonar.n_beams - 1, 1) if sonar.n_beams > 1 else jnp.float32(1.0)
@@ -93,11 +94,12 @@ def multi_look(intensity: Float[Array, "range beam"], looks: Any) -> Float[Array
     """Mean (range, beam) of `looks` independent speckles of unit mean, 1 to 4: Gamma(L, 1/L) for whole numbers.
 
     The other looks are the same `intensity` (range, beam) shifted by large parts of the image, which costs no random
-    numbers. Between whole numbers the last look counts less, so that the variance is 1/looks of one look's.
+    numbers; pixels that are that far apart share a look. Between whole numbers the last look counts less, so that the
+    variance is 1/looks of one look's.
     """
     rows, beams = intensity.shape
     weights = look_weights(looks)
-    shifts = [(k * rows // MAX_LOOKS, k * beams // MAX_LOOKS) for k in range(MAX_LOOKS)]
+    shifts = [(k * rows // 13, k * beams // 13) for k in LOOK_SHIFTS]
     return sum(w * jnp.roll(intensity, shift, (0, 1)) for w, shift in zip(weights, shifts, strict=True))
 
 
