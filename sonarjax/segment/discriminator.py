@@ -33,7 +33,7 @@ class Discriminator(nn.Module):
         """
         maps = jnp.concatenate([x, y], -1).astype(self.dtype)
         for n in (1, 2, 3):
-            maps = Down(self.width * 2 ** (n - 1), n == 1, self.dtype, self.backend, name=f"down{n}")(maps)
+            maps = Down(self.width * 2 ** (n - 1), n == 1, 4, self.dtype, self.backend, name=f"down{n}")(maps)
             maps = maps if n == 1 else BatchNorm(running=False, name=f"norm{n}")(maps, True)
             maps = nn.leaky_relu(maps, 0.2)
         return Patch(1, True, self.dtype, self.backend, name="patch")(maps).astype(jnp.float32)

@@ -24,7 +24,9 @@ class Generator(nn.Module):
     """Seven convolutions of stride 2 down to 1 × 1, a bottleneck layer, seven transposed ones back up.
 
     Dropout in the first three layers of the way up is the random input z of the paper: give `rngs={"dropout": key}` to
-    draw it, leave it out for the mean answer. Layers 7 and 8 have one pixel a patch, hence no normalisation.
+    draw it, leave it out for the mean answer. Layers 7 and 8 have one pixel a patch, hence no normalisation; layers 7
+    and 9 have only the 2 × 2 taps that reach it, since the rest of 4 × 4 would see padding, never learn, and disturb
+    larger images.
     """
 
     width: int = 64
@@ -61,7 +63,8 @@ class Generator(nn.Module):
         layers: list[Array] = []
         for n, multiplier in enumerate(self.multipliers, start=1):
             plain = n in (1, 7)
-            x = Down(self.width * multiplier, plain, self.dtype, self.backend, name=f"down{n}")(x)
+            size = 2 if n == 7 else 4
+            x = Down(self.width * multiplier, plain, size, self.dtype, self.backend, name=f"down{n}")(x)
             x = x if plain else BatchNorm(name=f"norm{n}")(x, train)
             x = nn.leaky_relu(x, 0.2)
             layers.append(x)
@@ -74,7 +77,7 @@ class Generator(nn.Module):
             if self.skips:
                 x = jnp.concatenate([x, layers[15 - n]], -1)  # layer 16 − n, counted from 1
             features = output if n == 15 else self.width * self.multipliers[14 - n]
-            x = Up(features, n == 15, self.dtype, self.backend, name=f"up{n}")(x)
+            x = Up(features, n == 15, 2 if n == 9 else 4, self.dtype, self.backend, name=f"up{n}")(x)
             if n == 15:
                 break
             x = BatchNorm(name=f"norm{n}")(x, train)

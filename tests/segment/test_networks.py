@@ -147,13 +147,13 @@ def test_skips_widths_and_heads_by_option(key: jax.Array) -> None:
         return made, variables["params"]
 
     _, params = shapes()
-    assert params["up15"]["kernel"].shape == (4, 4, 4, 1)  # layer 14 and the copy of layer 1
-    assert params["up9"]["kernel"].shape == (4, 4, 32, 16)
+    assert params["up15"]["kernel"].shape == (4, 4, 1, 4)  # layer 14 and the copy of layer 1
+    assert params["up9"]["kernel"].shape == (2, 2, 16, 32)
     _, params = shapes(skips=False)
-    assert params["up15"]["kernel"].shape == (4, 4, 2, 1)
+    assert params["up15"]["kernel"].shape == (4, 4, 1, 2)
     made, params = shapes(head="classes", multipliers=(1, 2, 2, 2, 2, 2, 2))
     assert made.shape == (2, 128, 128, 3)
-    assert params["up9"]["kernel"].shape == (4, 4, 8, 4)
+    assert params["up9"]["kernel"].shape == (2, 2, 4, 8)
     made, params = shapes(dtype=jnp.bfloat16)
     assert (made.dtype, params["up9"]["kernel"].dtype) == (jnp.float32, jnp.float32)
 

@@ -27,13 +27,19 @@ def tensors(params: Any) -> Any:
 
 
 def down(x: torch.Tensor, layer: Any) -> torch.Tensor:
-    """Our `Down` with its kernel (4, 4, channel, feature)."""
-    return functional.conv2d(x, layer["kernel"].permute(3, 2, 0, 1), layer.get("bias"), stride=2, padding=1)
+    """Our `Down` with its kernel (size, size, channel, feature), always as a convolution by 4 × 4."""
+    return functional.conv2d(x, _four(layer["kernel"]).permute(3, 2, 0, 1), layer.get("bias"), stride=2, padding=1)
 
 
 def up(x: torch.Tensor, layer: Any) -> torch.Tensor:
-    """Our `Up`."""
-    return functional.conv_transpose2d(x, layer["kernel"].permute(2, 3, 0, 1), layer.get("bias"), stride=2, padding=1)
+    """Our `Up` with its kernel (size, size, feature, channel), always as a transposed convolution by 4 × 4."""
+    kernel = _four(layer["kernel"]).permute(3, 2, 0, 1)
+    return functional.conv_transpose2d(x, kernel, layer.get("bias"), stride=2, padding=1)
+
+
+def _four(kernel: torch.Tensor) -> torch.Tensor:
+    """A kernel of 2 × 2 amid the twelve taps that on a map of one pixel meet nothing but padding."""
+    return kernel if len(kernel) == 4 else functional.pad(kernel, (0, 0, 0, 0, 1, 1, 1, 1))
 
 
 def normalised(x: torch.Tensor, layer: Any, kept: Any | None = None) -> torch.Tensor:
