@@ -20,10 +20,11 @@ from sonarjax.data.crops import cut_box, cut_labels, draw_box
 from sonarjax.data.draws import Stream
 from sonarjax.data.objects import draw_shape
 from sonarjax.data.scenes import render_scenes
-from sonarjax.data.shapes import shape_mesh
+from sonarjax.data.shapes import remove_walls, shape_mesh
 from sonarjax.data.views import draw_view
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.sensor import SensorModel, observe
+from sonarjax.scene import Pose
+from sonarjax.sensor import SensorModel, observe, render_bounces
 
 PAPER_PAIRS = 6780
 """Pairs in the paper's training set (§3.1)."""
@@ -110,7 +111,9 @@ def draw_pair(settings: PairSettings, *, key: Array) -> Pairs:
     view = draw_view(settings.n_ranges, settings.n_beams, key=view_key)
     mesh = shape_mesh(shape.kind, view.pose.to_ground(shape.vertices), view.walls)
     model = _draw_model(settings, key=model_key)
-    alone, seen, echoes = render_scenes(mesh, view, model, sub_beams=settings.sub_beams, elevations=settings.elevations)
+    quality = {"sub_beams": settings.sub_beams, "elevations": settings.elevations}
+    alone, seen = render_scenes(mesh, view, **quality)
+    echoes = render_bounces(remove_walls(mesh), Pose(), view.sonar, model, **quality)
     image = observe(seen, view.sonar, model, key=noise_key, bounces=echoes)
     box = draw_box(alone.labels(), key=box_key)
     patch = jnp.round(255 * jnp.clip(cut_box(image, box), 0.0, 1.0)) / 255

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 
 import jax
@@ -76,11 +75,11 @@ def test_count_must_be_positive():
 
 
 def test_labels_are_those_of_a_plain_render(pairs):
-    """The object of a pair read from arrays and rendered alone, by exact visibility of faces that may cross."""
+    """The object of a pair read from arrays and rendered alone, with the bounds measured there."""
     vertices, faces, sonar, box_key = _drawn(jax.random.fold_in(split_key(0, "train"), 1))
     faces = np.asarray(faces)
     read = Mesh.from_arrays(np.asarray(vertices), faces[faces.max(axis=1) < N_VERTICES])
-    highlight, shadow, labels = _layers(dataclasses.replace(read, crossing=True), sonar)
+    highlight, shadow, labels = _layers(read, sonar)
     box = draw_box(labels, key=box_key)
     wanted, found = np.asarray(cut_labels(highlight, shadow, box)), np.asarray(pairs.labels[1])
     touched = (wanted > 0) | (found > 0)
