@@ -82,8 +82,8 @@ def test_negative_numbers_are_numbers(complaint, place):
         assert "m.stl: no such mesh" in complaint(2, "render", "m.stl", *rest)
 
 
-def test_train_says_when_it_comes(complaint):
-    assert "pix2pix" in complaint(2, "train", "--preset", "smoke", "--run-dir", "runs/x", "--resume")
+def test_train_refuses_a_folder_that_cannot_be(complaint, place):
+    assert "cannot hold a run" in complaint(2, "train", "--preset", "smoke", "--run-dir", place / "a.npz" / "run")
 
 
 def test_a_reader_that_left_is_no_error(place):

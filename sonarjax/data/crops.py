@@ -1,0 +1,106 @@
+"""Cutting patches out of frames: a box of any size resampled to a fixed shape, and the labels of what is in it.
+
+The same functions serve training and inference, because a network knows only the resampling that it was trained with.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, UInt8
+
+from sonarjax.data.draws import Stream
+
+PATCH = (128, 128)
+"""Shape (range, beam) of a patch [pixels]."""
+
+
+CROP_SHARES = (0.62, 0.13, 0.12, 0.13)
+"""How often a crop holds object and shadow with a margin, loses its far part, lies anywhere, is the whole frame."""
+LEAST = (40, 12)
+"""Least extent of a random crop (range, beam) [pixels]."""
+
+
+class Box(NamedTuple):
+    """A part of a frame; edges need not fall on pixels."""
+
+    top: Float[Array, ""] | float
+    """Near edge [range bins]."""
+    left: Float[Array, ""] | float
+    """Starboard edge [beams]."""
+    rows: Float[Array, ""] | float
+    """Extent in range [range bins]."""
+    columns: Float[Array, ""] | float
+    """Extent in azimuth [beams]."""
+
+
+def cut_box(
+    image: Float[Array, "range beam"], box: Box, shape: tuple[int, int] = PATCH
+) -> Float[Array, "patch_range patch_beam"]:
+    """A part of an image (range, beam) as one of `shape` (patch_range, patch_beam): linear, averaged where it shrinks.
+
+    Zero beyond the frame. Differentiable, under jit and vmap, the box too.
+    """
+    scale = jnp.stack([shape[0] / jnp.asarray(box.rows), shape[1] / jnp.asarray(box.columns)])
+    corner = jnp.stack([jnp.asarray(box.top, jnp.float32), jnp.asarray(box.left, jnp.float32)])
+    return jax.image.scale_and_translate(image, shape, (0, 1), scale, -corner * scale, "linear", antialias=True)
+
+
+def cut_labels(
+    highlight: Float[Array, "range beam"], shadow: Float[Array, "range beam"], box: Box, shape: tuple[int, int] = PATCH
+) -> UInt8[Array, "patch_range patch_beam"]:
+    """Labels (patch_range, patch_beam) of a part of a frame: the largest share after its shares (range, beam) are cut.
+
+    Thin highlights survive where nearest neighbours would skip them, and edges are smooth where pixels are stretched.
+    """
+    hidden = cut_box(shadow * (1 - highlight), box, shape)
+    lit = cut_box(highlight, box, shape)
+    return jnp.argmax(jnp.stack([1 - lit - hidden, lit, hidden]), axis=0).astype(jnp.uint8)
+
+
+def paste_patch(
+    patch: Float[Array, "patch_range patch_beam"], box: Box, shape: tuple[int, int], outside: float = 0.5
+) -> Float[Array, "range beam"]:
+    """The inverse of `cut_box`: a patch (patch_range, patch_beam) on the pixels of a frame of `shape` (range, beam).
+
+    Pixels outside the box are `outside`, by default the grey of background.
+    """
+    rows, columns = patch.shape
+    scale = jnp.stack([jnp.asarray(box.rows) / rows, jnp.asarray(box.columns) / columns])
+    corner = jnp.stack([jnp.asarray(box.top, jnp.float32), jnp.asarray(box.left, jnp.float32)])
+    placed = jax.image.scale_and_translate(patch - outside, shape, (0, 1), scale, corner, "linear", antialias=True)
+    return placed + outside
+
+
+def touched_span(touched: Bool[Array, "pixel"]) -> tuple[Int[Array, ""], Int[Array, ""]]:
+    """First and one past the last of the pixels (pixel,) that are true; all of them where none is."""
+    count = len(touched)
+    last = count - jnp.argmax(touched[::-1])
+    return jnp.where(touched.any(), jnp.argmax(touched), 0), jnp.where(touched.any(), last, count)
+
+
+def draw_box(labels: UInt8[Array, "range beam"], *, key: Array) -> Box:
+    """A random box in a frame with these labels (range, beam), mostly around the object; see `CROP_SHARES`."""
+    stream = Stream(16, key=key)
+    kind = stream.pick(CROP_SHARES)
+    top, height = _draw_span((labels > 0).any(axis=1), LEAST[0], kind, stream)
+    left, width = _draw_span((labels > 0).any(axis=0), LEAST[1], kind, stream)
+    # Part of the shadow, sometimes of the object, is left out.
+    shorter = jnp.maximum(height * stream.between(0.35, 0.8), LEAST[0])
+    return Box(top, left, jnp.where(kind == 1, shorter, height), width)
+
+
+def _draw_span(touched: Bool[Array, "pixel"], least: int, kind: Array, stream: Stream) -> tuple[Array, Array]:
+    """Start and length [pixels] along one axis, whose pixels that the object touches are given."""
+    count = len(touched)
+    first, stop = touched_span(touched)
+    before, after = ((stop - first) * stream.between(0.05, 0.7) + count * stream.between(0.0, 0.08) for _ in range(2))
+    around = jnp.maximum(first - before, 0.0)
+    length = stream.between(0.35, 0.9) * count
+    anywhere = stream.uniform() * (count - length)
+    start = jnp.stack([around, around, anywhere, jnp.zeros(())])[kind]
+    ends = jnp.minimum(stop + after, count)
+    length = jnp.clip(jnp.stack([ends - around, ends - around, length, jnp.full((), float(count))])[kind], least, count)
+    return jnp.clip(start, 0.0, count - length), length

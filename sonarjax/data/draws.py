@@ -1,0 +1,58 @@
+"""A stream of random numbers under jit: one draw from a key, used up one by one.
+
+Every draw of its own is some hundred instructions to compile; a pair needs a hundred numbers.
+"""
+
+from __future__ import annotations
+
+import math
+from statistics import NormalDist
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+Number = Any  # a float or a traced scalar
+TAIL = 0.5 * (1 - NormalDist().cdf(3.0))  # normal draws stop near three standard deviations: a scene stays a scene
+
+
+class Stream:
+    """Random numbers drawn at once from a key; each method takes the next, while tracing."""
+
+    def __init__(self, count: int, *, key: Array) -> None:
+        """`count` numbers; asking for more raises IndexError."""
+        self._numbers = jax.random.uniform(key, (count,))
+        self._next = 0
+
+    def uniform(self) -> Float[Array, ""]:
+        """A number from 0 to 1."""
+        if self._next == len(self._numbers):
+            raise IndexError(f"a stream of {self._next} numbers is used up")
+        self._next += 1
+        return self._numbers[self._next - 1]
+
+    def between(self, low: Number, high: Number) -> Float[Array, ""]:
+        """A number from `low` to `high`."""
+        return low + (high - low) * self.uniform()
+
+    def log_between(self, low: float, high: float) -> Float[Array, ""]:
+        """A number from `low` to `high`, even in its logarithm."""
+        return jnp.exp(self.between(math.log(low), math.log(high)))
+
+    def normal(self) -> Float[Array, ""]:
+        """A standard normal number, cut off near ±3."""
+        return jax.scipy.special.ndtri(self.between(TAIL, 1 - TAIL))
+
+    def pick(self, shares: tuple[float, ...]) -> Int[Array, ""]:
+        """A random index, each as often as its share of `shares` says."""
+        bounds = [sum(shares[:n]) / sum(shares) for n in range(1, len(shares))]
+        return (self.uniform() >= jnp.array(bounds)).sum()
+
+    def happens(self, share: Number) -> Any:
+        """True in this share of all draws."""
+        return self.uniform() < share
+
+    def sometimes(self, share: float, value: Number, otherwise: Number) -> Float[Array, ""]:
+        """`value` in this share of all draws, else `otherwise`."""
+        return jnp.where(self.happens(share), value, otherwise)

@@ -1,0 +1,131 @@
+"""Training pairs as a jitted function of a key (§3.1): what a sonar shows of a random object, and its labels.
+
+A pair is an image (range, beam) in [0, 1] of 256 values and labels 0 background, 1 highlight, 2 shadow, both 128 × 128
+crops of one frame. Labels are those of the object alone, as in a template: tank walls are background, and so is floor
+that is not there or not lit, dark as it looks (a template is 0.5 there).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+from jax.random import fold_in
+from jaxtyping import Array, Float, UInt8
+
+from sonarjax._cores import SINGLE_CORE, side_by_side
+from sonarjax.data.crops import cut_box, cut_labels, draw_box
+from sonarjax.data.draws import Stream
+from sonarjax.data.objects import draw_shape
+from sonarjax.data.scenes import render_scenes
+from sonarjax.data.shapes import remove_walls, shape_mesh
+from sonarjax.data.views import draw_view
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.scene import Pose
+from sonarjax.sensor import SensorModel, observe, render_bounces
+
+PAPER_PAIRS = 6780
+"""Pairs in the paper's training set (§3.1)."""
+SPLITS = {"train": 1, "validation": 2, "test": 3}
+FLOOR_BOUNCE_SHARE, SURFACE_BOUNCE_SHARE = 0.75, 0.4
+"""How often there are echoes by way of the floor, and of the water's surface."""
+CHUNK = 8  # pairs made by one call of the compiled function
+VMAPPED = 64  # pairs at once on an accelerator
+
+
+@dataclass(frozen=True)
+class PairSettings:
+    """What is fixed about pairs; hashable, so that it can be static under `jax.jit`."""
+
+    n_ranges: int = 256
+    """Range bins of the frame that a pair is cut from."""
+    n_beams: int = 64
+    """Beams of that frame."""
+    severity: tuple[float, float] = (0.0, 1.7)
+    """Least and largest severity of the sensor model [1], drawn evenly."""
+    sub_beams: int = 1
+    """Azimuth parts of a beam, as in `render`."""
+    elevations: int = 16
+    """Elevation cells of the energy integral, as in `render`."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Pairs:
+    """Images and their labels."""
+
+    image: Float[Array, "*pair 128 128"]
+    """What a sonar shows, in [0, 1], a multiple of 1/255."""
+    labels: UInt8[Array, "*pair 128 128"]
+    """0 background, 1 highlight, 2 shadow."""
+
+    def __len__(self) -> int:
+        return len(self.image)
+
+
+def split_key(run_seed: int, split: str) -> Array:
+    """The key of the pairs for `split` ("train", "validation" or "test"): no two splits share a pair.
+
+    Raises SonarjaxError for another split.
+    """
+    if split not in SPLITS:
+        raise SonarjaxError(f"pairs: expected a split of {', '.join(SPLITS)}, got {split!r}")
+    return fold_in(jax.random.key(run_seed), SPLITS[split])
+
+
+def make_pairs(count: int, settings: PairSettings = PairSettings(), *, key: Array, first: int = 0) -> Pairs:
+    """`count` pairs, numbers `first` and on of those of `key`: pair i is the same whatever is made beside it.
+
+    Raises SonarjaxError when `count` is below 1.
+    """
+    if count < 1 or first < 0:
+        raise SonarjaxError(f"pairs: expected a count of 1 or more from number 0 on, got {count} from {first}")
+    size = CHUNK if jax.default_backend() == "cpu" else VMAPPED
+    starts = list(range(first, first + count, size))
+
+    def chunk(start: int) -> Pairs:
+        return _chunk(key, jnp.uint32(start), size, settings)
+
+    parts = [chunk(starts[0]), *side_by_side(chunk, starts[1:])]  # the first alone: else each thread would compile it
+    return jax.tree.map(lambda *v: jnp.concatenate(v)[:count], *parts)
+
+
+def paper_pairs(run_seed: int, settings: PairSettings = PairSettings()) -> Pairs:
+    """The fixed set of §3.1: 6,780 training pairs."""
+    return make_pairs(PAPER_PAIRS, settings, key=split_key(run_seed, "train"))
+
+
+@partial(jax.jit, static_argnames=("size", "settings"), compiler_options=SINGLE_CORE)
+def _chunk(key: Array, start: Array, size: int, settings: PairSettings) -> Pairs:
+    numbers = start + jnp.arange(size, dtype=jnp.uint32)
+    at_once = None if jax.default_backend() == "cpu" else size
+    return jax.lax.map(lambda n: draw_pair(settings, key=fold_in(key, n)), numbers, batch_size=at_once)
+
+
+def draw_pair(settings: PairSettings, *, key: Array) -> Pairs:
+    """One pair, without the leading axis."""
+    shape_key, view_key, model_key, noise_key, box_key = jax.random.split(key, 5)
+    shape = draw_shape(key=shape_key)
+    view = draw_view(settings.n_ranges, settings.n_beams, key=view_key)
+    mesh = shape_mesh(shape.kind, view.pose.to_ground(shape.vertices), view.walls)
+    model = _draw_model(settings, key=model_key)
+    quality = {"sub_beams": settings.sub_beams, "elevations": settings.elevations}
+    alone, seen = render_scenes(mesh, view, **quality)
+    echoes = render_bounces(remove_walls(mesh), Pose(), view.sonar, model, **quality)
+    image = observe(seen, view.sonar, model, key=noise_key, bounces=echoes)
+    box = draw_box(alone.labels(), key=box_key)
+    patch = jnp.round(255 * jnp.clip(cut_box(image, box), 0.0, 1.0)) / 255
+    return Pairs(patch, cut_labels(alone.highlight, alone.shadow, box))
+
+
+def _draw_model(settings: PairSettings, *, key: Array) -> SensorModel:
+    """A device; echoes by way of floor and surface are missing now and then, which also saves their renders."""
+    stream = Stream(3, key=fold_in(key, 1))
+    model = SensorModel.draw(key=key, severity=stream.between(*settings.severity))
+    return replace(
+        model,
+        floor_bounce=stream.sometimes(FLOOR_BOUNCE_SHARE, model.floor_bounce, 0.0),
+        surface_bounce=stream.sometimes(SURFACE_BOUNCE_SHARE, model.surface_bounce, 0.0),
+    )

@@ -1,0 +1,138 @@
+"""Meshes of fixed topology whose vertices are computed under jit: piles of boxes, cylinders and balls in one `Mesh`.
+
+A `Mesh` says on the host how many triangles a slice may cross: here a bound that holds for the whole family. Triangles
+that a shape does not need have no area, and the renderer never sees those.
+"""
+
+from __future__ import annotations
+
+import math
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from sonarjax.scene import Mesh
+from sonarjax.scene.objects import box, cylinder_arrays, join
+
+MOST_BOXES = 4
+"""Boxes in a pile, at most: the bricks of Fig. 4."""
+SIDES = 16
+"""Sides of a cylinder."""
+N_VERTICES, N_FACES, N_CREASES = 42, 80, 4 * MOST_BOXES
+"""Vertices, triangles and sharp vertices of every shape; the ball needs most of the first two."""
+BALL_VERTICES = 42
+WALL_FACES = 6
+BOXES, CYLINDER, BALL = range(3)
+"""The kinds of shape, as `shape_mesh` numbers them."""
+
+# Front faces that one slice crosses: 2 quads × 2 triangles of each upright box, 3 × 2 of one that leans; 9 sides of a
+# cylinder × 2, or fewer and as many triangles of a cap instead; fewer of the ball. Walls: two quads.
+CROSSINGS = max(4 * MOST_BOXES + 2, 2 * (SIDES // 2 + 1) + 2) + 4
+"""Triangles of a `shape_mesh` that a slice crosses and that look at the sonar, at most."""
+_CORNERS = box((1.0, 1.0, 1.0), (0.0, 0.0, 0.0))[0].astype(np.float32)
+
+
+def _icosphere() -> tuple[np.ndarray, np.ndarray]:
+    """A ball of 80 triangles, radius 1: an icosahedron with every edge halved."""
+    golden = (1 + math.sqrt(5)) / 2
+    ring = [(s, t * golden) for s in (-1, 1) for t in (-1, 1)]
+    corners = np.array([p for s, t in ring for p in ((0, s, t), (s, t, 0), (t, 0, s))], float)
+    corners /= np.linalg.norm(corners[0])
+    near = np.linalg.norm(corners[:, None] - corners, axis=-1) < 1.1  # the edge is 1.05 radii long
+    triples = [
+        (i, j, k) for i in range(12) for j in range(i) for k in range(j) if near[i, j] and near[j, k] and near[i, k]
+    ]
+    middles = {
+        pair: 12 + n for n, pair in enumerate(sorted({p for i, j, k in triples for p in ((i, j), (j, k), (i, k))}))
+    }
+    points = np.concatenate([corners, [(corners[i] + corners[j]) / 2 for i, j in middles]])
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    faces = []
+    for i, j, k in triples:
+        a, b, c = middles[i, j], middles[j, k], middles[i, k]
+        faces += [(i, a, c), (j, b, a), (k, c, b), (a, b, c)]
+    outward = [f if np.linalg.det(points[list(f)]) > 0 else f[::-1] for f in faces]
+    return points, np.array(outward)
+
+
+_BALL = _icosphere()
+_CYLINDER = cylinder_arrays(1.0, 1.0, SIDES)
+_PILE = join(*[box((1.0, 1.0, 1.0), (0.0, 0.0, 0.0))] * MOST_BOXES)
+
+
+def _padded(values: np.ndarray, size: int) -> np.ndarray:
+    return np.concatenate([values, np.zeros((size - len(values), *values.shape[1:]), values.dtype)])
+
+
+_FACES = np.stack([_padded(faces, N_FACES) for _, faces in (_PILE, _CYLINDER, _BALL)]).astype(np.int32)
+_ROUND = np.stack([_padded(points, N_VERTICES) for points, _ in (_CYLINDER, _BALL)]).astype(np.float32)
+# Boxes: the upper four corners, above the lower four unless it leans; cylinders: every second vertex of both rims.
+_TOPS = [8 * number + corner for number in range(MOST_BOXES) for corner in range(4, 8)]
+_CREASES = np.stack([_TOPS, np.arange(0, 2 * SIDES, 2 * SIDES // N_CREASES), [0] * N_CREASES]).astype(np.int32)
+
+
+def box_vertices(
+    size: Float[Array, "box 3"], rotation: Float[Array, "box 3 3"], center: Float[Array, "box 3"]
+) -> Float[Array, "box 8 3"]:
+    """Corners (box, 8, 3) [m] of boxes: their sizes (box, 3) [m], rotations (box, 3, 3) and centres (box, 3) [m]."""
+    return jnp.einsum("bij,bcj->bci", rotation, _CORNERS * size[:, None]) + center[:, None]
+
+
+def pile_vertices(corners: Float[Array, "box 8 3"]) -> Float[Array, "vertex 3"]:
+    """Vertices (vertex, 3) [m] for `shape_mesh` of a pile of `MOST_BOXES` boxes with corners (box, 8, 3) [m]."""
+    return jnp.pad(corners.reshape(-1, 3), ((0, N_VERTICES - 8 * MOST_BOXES), (0, 0)))
+
+
+def round_vertices(
+    kind: Int[Array, ""], radius: Float[Array, ""], length: Float[Array, ""]
+) -> Float[Array, "vertex 3"]:
+    """Vertices (vertex, 3) [m] of a cylinder along z from 0 to `length` [m], or of a ball around 0, of `radius` [m]."""
+    ball = kind == BALL
+    scale = jnp.stack([radius, radius, jnp.where(ball, radius, length)])
+    return jnp.asarray(_ROUND)[jnp.where(ball, 1, 0)] * scale
+
+
+def shape_mesh(kind: Int[Array, ""], vertices: Float[Array, "vertex 3"], walls: Float[Array, "wall 3"]) -> Mesh:
+    """One surface of a shape of `kind` with vertices (vertex, 3) [m] and the tank's walls (wall, 3) [m] around it.
+
+    Walls are one-sided and seen from inside, so that faces which look away need not be looked at: the mesh counts as
+    closed. Shapes must not pass through one another. Vertices that all coincide are nothing.
+    """
+    faces = jnp.concatenate([jnp.asarray(_FACES)[kind], _WALL_FACES + N_VERTICES])
+    return Mesh(
+        vertices=jnp.concatenate([vertices, walls]),
+        faces=faces,
+        crease=jnp.concatenate([jnp.asarray(_CREASES)[kind], N_VERTICES + jnp.array(_FAR_EDGES)]),
+        closed=True,
+        crossings=CROSSINGS,
+        front=N_FACES + WALL_FACES,
+        crossing=False,
+        radius=1.0,
+        top=2.0,
+    )
+
+
+def remove_walls(mesh: Mesh) -> Mesh:
+    """The mesh of `shape_mesh` with its walls shrunk to a point of the shape, where nothing sees them."""
+    return mesh.with_vertices(mesh.vertices.at[N_VERTICES:].set(mesh.vertices[0]))
+
+
+def _wall_faces() -> np.ndarray:
+    """Far, port and starboard wall of `box`, turned inside out."""
+    _, faces = box((1.0, 1.0, 1.0), (0.0, 0.0, 0.0))
+    normals = np.cross(_CORNERS[faces[:, 1]] - _CORNERS[faces[:, 0]], _CORNERS[faces[:, 2]] - _CORNERS[faces[:, 0]])
+    kept = (normals[:, 0] > 0.5) | (np.abs(normals[:, 1]) > 0.5)
+    return faces[kept][:, ::-1].astype(np.int32)
+
+
+_WALL_FACES = _wall_faces()
+_FAR_EDGES = (2, 3)  # of the tank: one corner of each upright edge behind the object
+
+
+def wall_vertices(size: Float[Array, "3"], center: Float[Array, "2"], yaw: Float[Array, ""]) -> Float[Array, "wall 3"]:
+    """Corners (wall, 3) [m] of a tank: `size` (3,) = length, width, height [m], middle (2,) [m], `yaw` [rad]."""
+    c, s = jnp.cos(yaw), jnp.sin(yaw)
+    corners = _CORNERS * size
+    x, y = corners[:, 0], corners[:, 1]
+    return jnp.stack([c * x - s * y + center[0], s * x + c * y + center[1], corners[:, 2] + size[2] / 2], axis=1)

@@ -1,0 +1,165 @@
+"""Stride-2 4 × 4 convolutions, down and up: plain functions with two backends, and the flax modules made of them.
+
+`convolution` is `lax.conv_general_dilated`, for GPUs and TPUs. XLA's CPU runs that slowly (its gradients and the
+transposed one most of all), so there `product` is the same layer as matrix products. Maps are channels-last.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+from flax import linen as nn
+from jax import lax
+from jaxtyping import Array, Float
+
+from sonarjax.segment import products
+
+Backend = Literal["auto", "convolution", "product"]
+_LAYOUT = ("NHWC", "HWIO", "NHWC")
+
+
+def down(
+    x: Float[Array, "batch height width channel"],
+    kernel: Float[Array, "4 4 channel feature"],
+    backend: Backend = "auto",
+) -> Float[Array, "batch halfheight halfwidth feature"]:
+    """Convolution of maps (batch, height, width, channel), stride 2, padding 1, with `kernel` (4, 4, channel, feature).
+
+    Returns (batch, halfheight, halfwidth, feature); height and width are even. Both backends give the same numbers.
+    """
+    if _use_product(backend):
+        return products.down(x, kernel)
+    return lax.conv_general_dilated(x, kernel, (2, 2), ((1, 1), (1, 1)), dimension_numbers=_LAYOUT)
+
+
+def up(
+    x: Float[Array, "batch height width channel"],
+    kernel: Float[Array, "4 4 feature channel"],
+    backend: Backend = "auto",
+) -> Float[Array, "batch twiceheight twicewidth feature"]:
+    """Transposed convolution, stride 2, of maps (batch, height, width, channel): each pixel spreads over 4 × 4 pixels.
+
+    `kernel` (4, 4, feature, channel) is that of the `down` whose transpose this is: out[2i + a − 1, 2j + b − 1] sums
+    kernel[a, b] · x[i, j]. Returns (batch, twiceheight, twicewidth, feature). Both backends give the same numbers.
+    """
+    if _use_product(backend):
+        return products.up(x, kernel)
+    flipped = kernel[::-1, ::-1].transpose(0, 1, 3, 2)
+    return lax.conv_general_dilated(
+        x, flipped, (1, 1), ((2, 2), (2, 2)), lhs_dilation=(2, 2), dimension_numbers=_LAYOUT
+    )
+
+
+def down_two(
+    x: Float[Array, "batch height width channel"], kernel: Float[Array, "2 2 channel feature"]
+) -> Float[Array, "batch halfheight halfwidth feature"]:
+    """Convolution of maps (batch, height, width, channel), stride 2, unpadded, with `kernel` (2, 2, channel, feature).
+
+    Returns (batch, halfheight, halfwidth, feature). On a 2 × 2 map it is `down`: the other twelve taps see padding.
+    """
+    n, h, w, c = x.shape
+    blocks = x.reshape(n, h // 2, 2, w // 2, 2, c).transpose(0, 1, 3, 2, 4, 5).reshape(n, h // 2, w // 2, 4 * c)
+    return blocks @ kernel.reshape(4 * c, -1)
+
+
+def up_two(
+    x: Float[Array, "batch height width channel"], kernel: Float[Array, "2 2 feature channel"]
+) -> Float[Array, "batch twiceheight twicewidth feature"]:
+    """Transpose of `down_two` with the same kernel (2, 2, feature, channel): maps (batch, height, width, channel).
+
+    Returns (batch, twiceheight, twicewidth, feature). On a 1 × 1 map it is `up`.
+    """
+    n, h, w, c = x.shape
+    blocks = (x @ kernel.reshape(-1, c).T).reshape(n, h, w, 2, 2, -1)
+    return blocks.transpose(0, 1, 3, 2, 4, 5).reshape(n, 2 * h, 2 * w, -1)
+
+
+def patch(
+    x: Float[Array, "batch height width channel"],
+    kernel: Float[Array, "4 4 channel feature"],
+    backend: Backend = "auto",
+) -> Float[Array, "batch lessheight lesswidth feature"]:
+    """Convolution of maps (batch, height, width, channel), stride 1, padding 1, with `kernel` (4, 4, channel, feature).
+
+    Returns (batch, lessheight, lesswidth, feature), one pixel less each way. The product suits few features only.
+    """
+    if not _use_product(backend):
+        return lax.conv_general_dilated(x, kernel, (1, 1), ((1, 1), (1, 1)), dimension_numbers=_LAYOUT)
+    n, h, w, c = x.shape
+    features = kernel.shape[-1]
+    # The sixteen products of every pixel first, then sums of shifted maps, which are thin.
+    each = (x @ kernel.transpose(2, 0, 1, 3).reshape(c, -1)).reshape(n, h, w, 4, 4, features)
+    each = jnp.pad(each, ((0, 0), (1, 1), (1, 1), (0, 0), (0, 0), (0, 0)))
+    return jnp.asarray(sum(each[:, a : a + h - 1, b : b + w - 1, a, b] for a in range(4) for b in range(4)))
+
+
+def _use_product(backend: Backend) -> bool:
+    return jax.default_backend() == "cpu" if backend == "auto" else backend == "product"
+
+
+class Down(nn.Module):
+    """`down` (`down_two` with size 2) with a kernel and, where wanted, a bias (feature,): halves height and width."""
+
+    features: int
+    use_bias: bool = True
+    size: int = 4
+    dtype: Any = jnp.float32
+    backend: Backend = "auto"
+
+    @nn.compact
+    def __call__(
+        self, x: Float[Array, "batch height width channel"]
+    ) -> Float[Array, "batch halfheight halfwidth feature"]:
+        """Maps (batch, height, width, channel) to (batch, halfheight, halfwidth, feature)."""
+        kernel = _kernel(self, self.size, x.shape[-1], self.features).astype(self.dtype)
+        x = x.astype(self.dtype)
+        return _biased(self, down(x, kernel, self.backend) if self.size == 4 else down_two(x, kernel))
+
+
+class Up(nn.Module):
+    """`up` (`up_two` with size 2) with a kernel and, where wanted, a bias (feature,): doubles height and width."""
+
+    features: int
+    use_bias: bool = True
+    size: int = 4
+    dtype: Any = jnp.float32
+    backend: Backend = "auto"
+
+    @nn.compact
+    def __call__(
+        self, x: Float[Array, "batch height width channel"]
+    ) -> Float[Array, "batch twiceheight twicewidth feature"]:
+        """Maps (batch, height, width, channel) to (batch, twiceheight, twicewidth, feature)."""
+        kernel = _kernel(self, self.size, self.features, x.shape[-1]).astype(self.dtype)
+        x = x.astype(self.dtype)
+        return _biased(self, up(x, kernel, self.backend) if self.size == 4 else up_two(x, kernel))
+
+
+class Patch(nn.Module):
+    """`patch` with a kernel and, where wanted, a bias (feature,): one pixel less each way."""
+
+    features: int
+    use_bias: bool = True
+    dtype: Any = jnp.float32
+    backend: Backend = "auto"
+
+    @nn.compact
+    def __call__(
+        self, x: Float[Array, "batch height width channel"]
+    ) -> Float[Array, "batch lessheight lesswidth feature"]:
+        """Maps (batch, height, width, channel) to (batch, lessheight, lesswidth, feature)."""
+        kernel = _kernel(self, 4, x.shape[-1], self.features).astype(self.dtype)
+        return _biased(self, patch(x.astype(self.dtype), kernel, self.backend))
+
+
+def _kernel(module: nn.Module, size: int, channels: int, features: int) -> Array:
+    # pix2pix draws weights from N(0, 0.02²), and Adam's step suits that size.
+    return module.param("kernel", nn.initializers.normal(0.02), (size, size, channels, features))
+
+
+def _biased(module: Down | Up | Patch, y: Array) -> Array:
+    if not module.use_bias:
+        return y
+    return y + module.param("bias", nn.initializers.zeros, (module.features,)).astype(module.dtype)

@@ -1,0 +1,86 @@
+"""The stride-2 4 × 4 layers as matrix products, down and up with their gradients, in one of two schemes.
+
+`winograd` multiplies less, `direct` moves less. Both are a linear step on the large map (`gather`), one on the small
+map (`split`), one on the kernel, and matrix products between: each of the layers and gradients is two steps' outputs
+multiplied and the transpose of the third step.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from types import ModuleType
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from sonarjax.segment import direct, winograd
+
+THIN = 8
+"""Channels of the large map below which its tiles are too thin to be worth transforming."""
+TILES = 16
+"""Tiles of the whole batch below which transforming the kernel costs more than the products that it saves."""
+
+
+def down(x: Array, kernel: Array) -> Array:
+    """Convolution (n, h, w, c) -> (n, h/2, w/2, f), stride 2, padding 1, kernel (4, 4, c, f)."""
+    n, h, w, c = x.shape
+    return _down(scheme(n, h // 2, w // 2, c), x, kernel)
+
+
+def up(x: Array, kernel: Array) -> Array:
+    """Its transpose (n, h, w, f) -> (n, 2h, 2w, c) with the same kernel (4, 4, c, f)."""
+    return _up(scheme(*x.shape[:3], kernel.shape[2]), x, kernel)
+
+
+def scheme(n: int, h: int, w: int, channels: int) -> ModuleType:
+    """The scheme for a small map of (n, h, w) pixels and `channels` of the large one: `winograd` or `direct`."""
+    even = h % 2 == 0 and w % 2 == 0
+    return winograd if even and channels >= THIN and n * h * w >= 4 * TILES else direct
+
+
+@partial(jax.custom_vjp, nondiff_argnums=(0,))
+def _down(by: ModuleType, x: Array, kernel: Array) -> Array:
+    n, h, w, _ = x.shape
+    return by.join(_products(by.gather(x), by.spread_kernel(kernel)), (n, h // 2, w // 2))
+
+
+def _down_forward(by: ModuleType, x: Array, kernel: Array) -> tuple[Array, tuple[Array, Array]]:
+    return _down(by, x, kernel), (x, kernel)
+
+
+def _down_backward(by: ModuleType, saved: tuple[Array, Array], slope: Array) -> tuple[Array, Array]:
+    x, kernel = saved
+    at_kernel = by.join_kernel(_correlations(by.gather(x), by.split(slope)), kernel.shape)
+    return _up(by, slope, kernel), at_kernel
+
+
+_down.defvjp(_down_forward, _down_backward)
+
+
+@partial(jax.custom_vjp, nondiff_argnums=(0,))
+def _up(by: ModuleType, x: Array, kernel: Array) -> Array:
+    matrices = [matrix.T for matrix in by.spread_kernel(kernel)]
+    return by.scatter(_products(by.split(x), matrices), x.shape[:3])
+
+
+def _up_forward(by: ModuleType, x: Array, kernel: Array) -> tuple[Array, tuple[Array, Array]]:
+    return _up(by, x, kernel), (x, kernel)
+
+
+def _up_backward(by: ModuleType, saved: tuple[Array, Array], slope: Array) -> tuple[Array, Array]:
+    x, kernel = saved
+    at_kernel = by.join_kernel(_correlations(by.gather(slope), by.split(x)), kernel.shape)
+    return _down(by, slope, kernel), at_kernel
+
+
+_up.defvjp(_up_forward, _up_backward)
+
+
+def _products(left: list[Array], right: list[Array]) -> list[Array]:
+    return [a @ b for a, b in zip(left, right, strict=True)]
+
+
+def _correlations(left: list[Array], right: list[Array]) -> list[Array]:
+    """leftᵀ · right of each pair: sums over tiles or pixels."""
+    return [jnp.einsum("tc,tf->cf", a, b) for a, b in zip(left, right, strict=True)]

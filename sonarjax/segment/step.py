@@ -1,0 +1,229 @@
+"""One step of training, as pure jitted functions of a `GanState`: pix2pix, and cross-entropy with the same U-Net.
+
+Every mean runs over the whole batch, so a batch that is sharded over devices gives the step of one device.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Float, UInt8
+
+from sonarjax.segment.discriminator import Discriminator
+from sonarjax.segment.generator import Generator, Head, to_grey
+from sonarjax.segment.initial import draw_variables
+from sonarjax.segment.layers import Backend
+from sonarjax.segment.loss import (
+    Normaliser,
+    adversarial_loss,
+    cross_entropy,
+    discriminator_loss,
+    distance_loss,
+    labels_of,
+)
+
+Losses = dict[str, Float[Array, ""]]
+
+
+@dataclass(frozen=True)
+class GanConfig:
+    """What the networks are and how they are trained; hashable, so that it is static under `jax.jit`."""
+
+    width: int = 64
+    """Channels of the generator's first layer."""
+    discriminator_width: int = 64
+    """Channels of the discriminator's first layer."""
+    multipliers: tuple[int, ...] = (1, 2, 4, 8, 8, 8, 8)
+    """Channels of the generator's seven layers on the way down, in units of `width`."""
+    head: Head = "tanh"
+    """The generator's output: `tanh` grey, or the logits of three `classes`."""
+    skips: bool = True
+    """Skip connections of the generator."""
+    dtype: str = "float32"
+    """Type of the maps: `float32`, or `bfloat16` for GPUs."""
+    backend: Backend = "auto"
+    """How the layers are computed, see `layers`."""
+    learning_rate: float = 2e-4
+    """Adam's step size."""
+    beta1: float = 0.5
+    """Adam's decay of the mean gradient."""
+    beta2: float = 0.999
+    """Adam's decay of the mean square."""
+    distance: float = 100.0
+    """λ of eq. 3. The paper gives no number: this is pix2pix's."""
+    normaliser: Normaliser = "affine"
+    """N of eq. 3."""
+    saturating: bool = False
+    """The generator minimises E[log(1 − D)] as printed, not −E[log D]."""
+    adversarial: float = 1.0
+    """Weight of the discriminator's verdict in the generator's loss."""
+    cross_entropy: float = 0.0
+    """Weight of cross-entropy in the generator's loss, beside eq. 3; needs the head `classes`."""
+    class_weights: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    """Weights of background, highlight and shadow in cross-entropy."""
+    ema_decay: float = 0.999
+    """Decay of the averaged generator, the one that is used; the first steps average over fewer."""
+
+    def generator(self) -> Generator:
+        """The generator's module."""
+        return Generator(
+            self.width, self.head, self.skips, self.multipliers, dtype=jnp.dtype(self.dtype), backend=self.backend
+        )
+
+    def discriminator(self) -> Discriminator:
+        """The discriminator's module."""
+        return Discriminator(self.discriminator_width, jnp.dtype(self.dtype), self.backend)
+
+    def optimiser(self) -> optax.GradientTransformation:
+        """Adam, the same for both networks."""
+        return optax.adam(self.learning_rate, self.beta1, self.beta2)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class GanState:
+    """Everything that training carries from step to step; a pytree with `config` static."""
+
+    step: Any
+    """Steps done, a whole number ()."""
+    generator: Any
+    """Parameters of the generator."""
+    batch_stats: Any
+    """Running statistics of the generator."""
+    discriminator: Any
+    """Parameters of the discriminator."""
+    generator_optimiser: Any
+    """Adam's state for the generator."""
+    discriminator_optimiser: Any
+    """Adam's state for the discriminator."""
+    ema: Any
+    """Exponential average of `generator`."""
+    config: GanConfig = field(metadata={"static": True})
+    """What was asked for."""
+
+    def weights(self) -> dict[str, Any]:
+        """Variables of the averaged generator, for `Generator.apply` in inference."""
+        return {"params": self.ema, "batch_stats": self.batch_stats}
+
+
+@partial(jax.jit, static_argnames="config")
+def create_state(config: GanConfig, *, key: Array) -> GanState:
+    """Fresh networks, drawn from `key`, and their optimisers."""
+    first, second = jax.random.split(key)
+    image = jnp.zeros((1, 128, 128, 1))
+    variables = draw_variables(config.generator(), image, key=first)
+    judge = draw_variables(config.discriminator(), image, image, key=second)["params"]
+    adam = config.optimiser()
+    return GanState(
+        step=jnp.zeros((), jnp.int32),
+        generator=variables["params"],
+        batch_stats=variables["batch_stats"],
+        discriminator=judge,
+        generator_optimiser=adam.init(variables["params"]),
+        discriminator_optimiser=adam.init(judge),
+        ema=jax.tree.map(jnp.copy, variables["params"]),
+        config=config,
+    )
+
+
+@partial(jax.jit, donate_argnums=0)
+def train_step(
+    state: GanState,
+    x: Float[Array, "batch height width 1"],
+    y: Float[Array, "batch height width 1"],
+    *,
+    key: Array,
+) -> tuple[GanState, Losses]:
+    """One step of both networks on images `x` and semantic maps `y`, both (batch, height, width, 1) in [−1, 1].
+
+    The generator's maps are made once (its dropout drawn from `key`) and serve both: the discriminator moves first, the
+    generator then answers the moved one. `state` is donated. Losses by name: `discriminator`, `adversarial`,
+    `distance`, and `cross_entropy` where it has a weight.
+    """
+    config = state.config
+    generate = partial(_generate, config, state.batch_stats, x, key)
+    output, pull_back, batch_stats = jax.vjp(generate, state.generator, has_aux=True)
+    made, grey_pull_back = jax.vjp(to_grey, output)
+    judge = partial(_judge, config, x)
+
+    def judge_loss(params: Any) -> Array:
+        return discriminator_loss(judge(y, params), judge(made, params))
+
+    lost, gradient = jax.value_and_grad(judge_loss)(state.discriminator)
+    discriminator, judge_optimiser = _adam(config, gradient, state.discriminator_optimiser, state.discriminator)
+
+    def answer(grey: Array) -> tuple[Array, Losses]:
+        adversarial = adversarial_loss(judge(grey, discriminator), config.saturating)
+        distance = distance_loss(x, y, grey, config.normaliser)
+        total = config.adversarial * adversarial + config.distance * distance
+        return total, {"adversarial": adversarial, "distance": distance}
+
+    cotangent, losses = jax.grad(answer, has_aux=True)(made)
+    (at_output,) = grey_pull_back(cotangent)
+    if config.cross_entropy:
+        entropy, more = jax.value_and_grad(cross_entropy)(output, labels_of(y), config.class_weights)
+        at_output = at_output + config.cross_entropy * more
+        losses["cross_entropy"] = entropy
+    moved = _move_generator(state, pull_back(at_output)[0], batch_stats)
+    moved = replace(moved, discriminator=discriminator, discriminator_optimiser=judge_optimiser)
+    return moved, {"discriminator": lost, **losses}
+
+
+@partial(jax.jit, donate_argnums=0)
+def discriminative_step(
+    state: GanState,
+    x: Float[Array, "batch height width 1"],
+    labels: UInt8[Array, "batch height width"],
+    *,
+    key: Array,
+) -> tuple[GanState, Losses]:
+    """One step of the paper's 'discriminative model': the U-Net alone (head `classes`) on class-weighted cross-entropy.
+
+    Images `x` (batch, height, width, 1) in [−1, 1], `labels` (batch, height, width), dropout from `key`. The
+    discriminator rests. `state` is donated. Loss by name: `cross_entropy`.
+    """
+    config = state.config
+
+    def loss(params: Any) -> tuple[Array, Any]:
+        output, batch_stats = _generate(config, state.batch_stats, x, key, params)
+        return cross_entropy(output, labels, config.class_weights), batch_stats
+
+    (lost, batch_stats), gradient = jax.value_and_grad(loss, has_aux=True)(state.generator)
+    return _move_generator(state, gradient, batch_stats), {"cross_entropy": lost}
+
+
+def _generate(config: GanConfig, batch_stats: Any, x: Array, key: Array, params: Any) -> tuple[Array, Any]:
+    output, changed = config.generator().apply(
+        {"params": params, "batch_stats": batch_stats}, x, train=True, rngs={"dropout": key}, mutable="batch_stats"
+    )
+    return output, changed["batch_stats"]
+
+
+def _judge(config: GanConfig, x: Array, y: Array, params: Any) -> Array:
+    return jnp.asarray(config.discriminator().apply({"params": params}, x, y))
+
+
+def _move_generator(state: GanState, gradient: Any, batch_stats: Any) -> GanState:
+    config = state.config
+    params, optimiser = _adam(config, gradient, state.generator_optimiser, state.generator)
+    # With few steps done their plain mean is better than an average that remembers the draw of the weights.
+    decay = jnp.minimum(config.ema_decay, (1 + state.step) / (10 + state.step))
+    ema = jax.tree.map(lambda old, new: new + decay * (old - new), state.ema, params)
+    return replace(
+        state,
+        step=state.step + 1,
+        generator=params,
+        batch_stats=batch_stats,
+        generator_optimiser=optimiser,
+        ema=ema,
+    )
+
+
+def _adam(config: GanConfig, gradient: Any, optimiser: Any, params: Any) -> tuple[Any, Any]:
+    updates, optimiser = config.optimiser().update(gradient, optimiser, params)
+    return optax.apply_updates(params, updates), optimiser

@@ -1,0 +1,122 @@
+"""Batch k of a run as a pure function of the recipe and k, whatever was made before: what resuming rests on.
+
+Pairs are made set by set; the next set is made by another thread while the networks train on this one.
+"""
+
+from __future__ import annotations
+
+import threading
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import lru_cache
+from types import TracebackType
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import UInt8
+
+from sonarjax.data import Pairs, import_pairs, make_pairs, split_key
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.segment.training.recipes import Recipe
+
+AT_ONCE = 64  # pairs between two looks at whether the run has ended
+
+
+class Stored(NamedTuple):
+    """Pairs in the bytes that they need."""
+
+    image: UInt8[np.ndarray, "pair 128 128"]
+    """Images, 0 to 255."""
+    labels: UInt8[np.ndarray, "pair 128 128"]
+    """0 background, 1 highlight, 2 shadow."""
+
+
+class Batches:
+    """Batches of a recipe by number, a context manager: its thread ends with it."""
+
+    def __init__(self, recipe: Recipe) -> None:
+        """Nothing is made yet."""
+        self._recipe = recipe
+        self._sets: dict[int, Future[Stored]] = {}
+        self._over = threading.Event()
+        self._maker = ThreadPoolExecutor(1, "pairs")
+
+    def batch(self, step: int) -> Stored:
+        """The pairs of step `step`, from 0. Raises SonarjaxError when the recipe's folder cannot be used."""
+        recipe = self._recipe
+        epoch, inside = divmod(step, recipe.epoch_steps)
+        pairs = self._set(epoch // recipe.passes)
+        rows = _order(recipe, epoch)[inside * recipe.batch : (inside + 1) * recipe.batch]
+        return Stored(pairs.image[rows], pairs.labels[rows])
+
+    def _set(self, number: int) -> Stored:
+        for wanted in (number, number + 1):
+            if wanted not in self._sets and wanted < self._recipe.sets:
+                self._sets[wanted] = self._maker.submit(_make_set, self._recipe, wanted, self._over)
+        for old in [n for n in self._sets if n < number]:
+            del self._sets[old]
+        return self._sets[number].result()
+
+    def __enter__(self) -> Batches:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._over.set()
+        self._maker.shutdown(cancel_futures=True)
+
+
+@lru_cache(2)
+def _order(recipe: Recipe, epoch: int) -> np.ndarray:
+    """The order of a set's pairs in one epoch, from the seed and the epoch alone."""
+    return np.random.Generator(np.random.Philox(key=[recipe.run_seed, epoch])).permutation(recipe.pairs)
+
+
+def _make_set(recipe: Recipe, number: int, over: threading.Event) -> Stored:
+    if recipe.source is not None:
+        return _imported(recipe)[0]
+    return _made(recipe, "train", number * recipe.pairs, recipe.pairs, over)
+
+
+def validation_set(recipe: Recipe) -> Stored:
+    """The pairs that judge a run: of the validation split, or the last of the recipe's folder.
+
+    Raises SonarjaxError when the folder cannot be used.
+    """
+    if recipe.source is not None:
+        return _imported(recipe)[1]
+    return _made(recipe, "validation", 0, recipe.validation_pairs, threading.Event())
+
+
+def _made(recipe: Recipe, split: str, first: int, count: int, over: threading.Event) -> Stored:
+    key = split_key(recipe.run_seed, split)
+    parts = []
+    for start in range(0, count, AT_ONCE):
+        if over.is_set():
+            break
+        size = min(AT_ONCE, count - start)
+        parts.append(_stored(make_pairs(size, recipe.pair_settings, key=key, first=first + start)))
+    return Stored(*(np.concatenate(part) for part in zip(*parts, strict=True))) if parts else Stored(*_nothing())
+
+
+def _nothing() -> tuple[np.ndarray, np.ndarray]:
+    return np.zeros((0, 128, 128), np.uint8), np.zeros((0, 128, 128), np.uint8)
+
+
+def _stored(pairs: Pairs) -> Stored:
+    image, labels = jax.device_get((pairs.image, pairs.labels))
+    return Stored(np.rint(255 * image).astype(np.uint8), labels)
+
+
+@lru_cache(1)
+def _imported(recipe: Recipe) -> tuple[Stored, Stored]:
+    """The folder's pairs: those to train on, and those to validate with."""
+    assert recipe.source is not None
+    stored = _stored(import_pairs(recipe.source))
+    wanted = recipe.pairs + recipe.validation_pairs
+    if len(stored.image) < wanted:
+        raise SonarjaxError(f"{recipe.source}: expected {wanted} pairs or more, got {len(stored.image)}")
+    parts = slice(recipe.pairs), slice(-recipe.validation_pairs, None)
+    train, validation = (Stored(stored.image[part], stored.labels[part]) for part in parts)
+    return train, validation

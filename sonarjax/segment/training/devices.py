@@ -1,0 +1,105 @@
+"""One step on all devices of all processes: the batch is split, the networks are copied, the losses are those of one.
+
+With several processes, start each with `SONARJAX_COORDINATOR=host:port`, `SONARJAX_PROCESSES` and `SONARJAX_PROCESS` (0
+and on), or call `jax.distributed.initialize` before anything else. The same run directory must be seen by all of them.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jaxtyping import Array
+
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.segment.step import GanState, Losses, discriminative_step, train_step
+from sonarjax.segment.training.batches import Stored
+from sonarjax.segment.training.recipes import Recipe
+
+COORDINATOR, PROCESSES, PROCESS = "SONARJAX_COORDINATOR", "SONARJAX_PROCESSES", "SONARJAX_PROCESS"
+
+
+def join_processes() -> None:
+    """Join the other processes if the environment names a coordinator and JAX has not joined them already.
+
+    Raises SonarjaxError when the environment's numbers cannot be used or the coordinator is not there.
+    """
+    address = os.environ.get(COORDINATOR)
+    if not address or jax.distributed.is_initialized():
+        return
+    try:
+        count, number = int(os.environ[PROCESSES]), int(os.environ[PROCESS])
+    except (KeyError, ValueError) as error:
+        raise SonarjaxError(f"{COORDINATOR} is set: expected numbers in {PROCESSES} and {PROCESS} too") from error
+    try:
+        jax.distributed.initialize(address, count, number)
+    except (RuntimeError, ValueError) as error:
+        raise SonarjaxError(f"{COORDINATOR}: cannot join {address}: {' '.join(str(error).split())}") from error
+
+
+def device_mesh(batch: int) -> Mesh:
+    """All devices in a row, or as many of one process's as divide the batch.
+
+    Raises SonarjaxError when several processes cannot share the batch evenly.
+    """
+    devices = jax.devices()
+    if jax.process_count() > 1 and batch % len(devices):
+        raise SonarjaxError(f"training: a batch of {batch} cannot be shared evenly by {len(devices)} devices")
+    count = max(n for n in range(1, len(devices) + 1) if batch % n == 0)
+    return Mesh(np.array(devices[:count]), ("batch",))
+
+
+def copied(mesh: Mesh) -> NamedSharding:
+    """The sharding of what every device has whole."""
+    return NamedSharding(mesh, PartitionSpec())
+
+
+def place_batch(pairs: Stored, mesh: Mesh) -> tuple[Array, Array]:
+    """Images and labels spread over the devices, all processes having the same `pairs`."""
+    split = NamedSharding(mesh, PartitionSpec("batch"))
+    return _placed(pairs.image, split), _placed(pairs.labels, split)
+
+
+def place_state(state: GanState, mesh: Mesh) -> GanState:
+    """The state, which every process has drawn alike, on all devices."""
+    return jax.tree.map(lambda v: _placed(np.asarray(v), copied(mesh)), state)
+
+
+def _placed(values: np.ndarray, sharding: NamedSharding) -> Array:
+    return jax.make_array_from_callback(values.shape, sharding, lambda rows: values[rows])
+
+
+def local_copy(tree: Any) -> Any:
+    """Arrays that every device has whole, as this process's own."""
+    return jax.tree.map(lambda v: v.addressable_data(0), tree)
+
+
+def make_step(recipe: Recipe, mesh: Mesh) -> Callable[[GanState, Array, Array, Any], tuple[GanState, Losses]]:
+    """The compiled step: state (donated), images and labels as bytes, the run's key data → next state and losses."""
+    whole, split = copied(mesh), NamedSharding(mesh, PartitionSpec("batch"))
+
+    @partial(jax.jit, donate_argnums=0, in_shardings=(whole, split, split, whole), out_shardings=whole)
+    def step(state: GanState, image: Array, labels: Array, dropout: Any) -> tuple[GanState, Losses]:
+        x = (image.astype(jnp.float32) / 127.5 - 1)[..., None]
+        key = jax.random.fold_in(jax.random.wrap_key_data(dropout), state.step)
+        if recipe.discriminative:
+            return discriminative_step(state, x, labels, key=key)
+        y = (labels == 1).astype(jnp.float32) - (labels == 2)
+        return train_step(state, x, y[..., None], key=key)
+
+    return step
+
+
+def anywhere(happened: bool) -> bool:
+    """Whether it happened in any process; all of them must ask."""
+    if jax.process_count() == 1:
+        return happened
+    from jax.experimental import multihost_utils
+
+    return bool(np.any(multihost_utils.process_allgather(np.array(happened))))

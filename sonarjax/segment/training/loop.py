@@ -1,0 +1,189 @@
+"""`train`: a recipe from its first step, or from its last checkpoint, to weights that ship.
+
+A run is a pure function of its recipe: the state after k steps does not depend on how often it was interrupted.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.random import fold_in
+from jax.sharding import Mesh
+from tqdm import tqdm
+
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.segment.step import GanState, create_state
+from sonarjax.segment.training.batches import Batches, Stored, validation_set
+from sonarjax.segment.training.checkpoint import Checkpoints
+from sonarjax.segment.training.devices import (
+    anywhere,
+    copied,
+    device_mesh,
+    join_processes,
+    local_copy,
+    make_step,
+    place_batch,
+    place_state,
+)
+from sonarjax.segment.training.evaluate import contact_sheet, predict_all, score
+from sonarjax.segment.training.export import export_weights
+from sonarjax.segment.training.journal import Journal
+from sonarjax.segment.training.recipes import Recipe, find_recipe
+from sonarjax.segment.training.run import open_run, versions
+from sonarjax.segment.training.signals import StopWish
+
+WEIGHTS = "weights.safetensors"
+FIRST_WEIGHTS, DROPOUT = 11, 12  # what is folded into the seed's key; pairs have 1 to 3
+
+
+@dataclass(frozen=True)
+class TrainResult:
+    """How a run ended."""
+
+    step: int
+    """Steps done."""
+    finished: bool
+    """False when it was asked to stop before its last step."""
+    metrics: dict[str, float]
+    """Validation metrics after the last epoch, empty before the first."""
+    weights: Path | None
+    """The file of the averaged generator; None before the last step."""
+
+
+def train(preset: str | Recipe, run_dir: str | os.PathLike[str], resume: bool = False) -> TrainResult:
+    """Follow a recipe, by name or as it is, and leave checkpoints, records and weights in `run_dir`.
+
+    With `resume` a run that was killed goes on from its last checkpoint, to the same weights. Ctrl-C or SIGTERM ends
+    it after the current step, with a checkpoint. On all devices and, see `devices`, all processes.
+    Raises SonarjaxError for a recipe or folder that cannot be used, and when a loss is not finite or has diverged:
+    the last checkpoint from before that is kept.
+    """
+    recipe = find_recipe(preset)
+    join_processes()
+    folder = Path(run_dir)
+    open_run(recipe, folder, resume)
+    with StopWish() as wish, Checkpoints(folder / "checkpoints") as checkpoints, Batches(recipe) as batches:
+        return _Run(recipe, folder, checkpoints, batches, wish).finish()
+
+
+class _Run:
+    """One call of `train`: the state and where it is kept."""
+
+    def __init__(
+        self, recipe: Recipe, folder: Path, checkpoints: Checkpoints, batches: Batches, wish: StopWish
+    ) -> None:
+        self.recipe, self.folder, self.checkpoints, self.batches, self.wish = recipe, folder, checkpoints, batches, wish
+        self.mesh: Mesh = device_mesh(recipe.batch)
+        key = jax.random.key(recipe.run_seed)
+        self.dropout = np.asarray(jax.random.key_data(fold_in(key, DROPOUT)))
+        self.state = self._first_state(key)
+        self.step = int(local_copy(self.state.step))
+        self.losses: dict[str, float] = {}
+        self.metrics: dict[str, float] = {}
+        self.validation: Stored | None = None
+
+    def _first_state(self, key: jax.Array) -> GanState:
+        state = create_state(self.recipe.networks, key=fold_in(key, FIRST_WEIGHTS))
+        if self.checkpoints.latest is None:
+            return place_state(state, self.mesh)
+        return self.checkpoints.restore(state, copied(self.mesh))
+
+    def finish(self) -> TrainResult:
+        """Go on to the last step, or until a stop is wished."""
+        recipe, chief = self.recipe, jax.process_index() == 0
+        advance = make_step(recipe, self.mesh)
+        if self.step == recipe.steps:  # killed after its last step
+            self.metrics = self._judge()[0]
+        with (
+            Journal(self.folder, self.step, writes=chief) as journal,
+            tqdm(
+                total=recipe.steps, initial=self.step, unit="step", file=sys.stderr, disable=not chief,
+                mininterval=0.5 if sys.stderr.isatty() else 30.0, desc=recipe.name,
+            ) as bar,
+        ):  # fmt: skip
+            started, first = time.perf_counter(), self.step
+            while self.step < recipe.steps:
+                batch = place_batch(self.batches.batch(self.step), self.mesh)
+                self.state, losses = advance(self.state, *batch, self.dropout)
+                self.step += 1
+                bar.update()
+                if self._due(recipe.log_steps):
+                    self.losses = self._look_at(losses)
+                    rate = (self.step - first) * recipe.batch / (time.perf_counter() - started)
+                    bar.set_postfix({k: f"{v:.3f}" for k, v in self.losses.items()} | {"images/s": f"{rate:.0f}"})
+                    curves = {f"loss/{k}": v for k, v in self.losses.items()}
+                    journal.scalars(curves | {"images_per_second": rate}, self.step)
+                if self._mark(journal):
+                    break
+        finished = self.step == recipe.steps
+        return TrainResult(self.step, finished, self.metrics, self._write_weights() if finished else None)
+
+    def _due(self, every: int) -> bool:
+        return self.step % every == 0 or self.step % self.recipe.epoch_steps == 0
+
+    def _mark(self, journal: Journal) -> bool:
+        """End an epoch and keep a checkpoint where they are due; True when a stop is wished."""
+        # Several processes must agree on it, which takes a message: they ask less often.
+        asks = jax.process_count() == 1 or self._due(self.recipe.log_steps)
+        stop = asks and anywhere(self.wish.wished)
+        if self.step % self.recipe.epoch_steps == 0:
+            self.metrics, grey = self._judge()
+            assert self.validation is not None
+            epoch = self.step // self.recipe.epoch_steps
+            losses = {f"loss_{name}": value for name, value in self.losses.items()}
+            journal.epoch(epoch, self.step, losses | self.metrics, contact_sheet(grey, self.validation))
+        if stop or self._due(self.recipe.checkpoint_steps):
+            if not bool(local_copy(_all_finite(self.state))):
+                raise self._diverged("a weight is not finite")
+            self.checkpoints.save(self.state, self.step)
+        return stop
+
+    def _look_at(self, losses: dict[str, jax.Array]) -> dict[str, float]:
+        """The losses as numbers. Raises SonarjaxError when one is not finite or too large."""
+        values = {name: float(local_copy(value)) for name, value in losses.items()}
+        for name, value in values.items():
+            if not math.isfinite(value) or abs(value) > self.recipe.largest_loss:
+                raise self._diverged(f"the loss `{name}` is {value:g}")
+        return values
+
+    def _diverged(self, what: str) -> SonarjaxError:
+        kept = self.checkpoints.latest
+        last = "there is no checkpoint yet" if kept is None else f"the last good checkpoint is that of step {kept}"
+        return SonarjaxError(f"{self.folder}: training stopped at step {self.step}: {what}; {last}")
+
+    def _judge(self) -> tuple[dict[str, float], np.ndarray]:
+        """Validation metrics of the averaged generator, and its grey maps."""
+        if self.validation is None:
+            self.validation = validation_set(self.recipe)
+        weights = local_copy(self.state.weights())
+        grey, labels = predict_all(self.recipe.networks, weights, self.validation)
+        return score(grey, labels, self.validation), grey
+
+    def _write_weights(self) -> Path:
+        """The averaged generator as a file, written by the first process."""
+        path = self.folder / WEIGHTS
+        if jax.process_index() == 0:
+            weights = jax.device_get(local_copy(self.state.weights()))
+            about = {
+                "recipe": self.recipe.as_json(),
+                "versions": versions(),
+                "metrics": self.metrics,
+                "step": self.step,
+            }
+            export_weights(path, weights, about)
+        return path
+
+
+@jax.jit
+def _all_finite(tree: Any) -> jax.Array:
+    floats = [leaf for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, jnp.inexact)]
+    return jnp.stack([jnp.isfinite(leaf).all() for leaf in floats]).all()

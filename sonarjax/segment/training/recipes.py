@@ -1,0 +1,131 @@
+"""What a training run does from its first step to its last: networks, pairs and how often they are seen."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from sonarjax.data import PairSettings
+from sonarjax.data.pairs import PAPER_PAIRS
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.segment.step import GanConfig
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """A training run; two runs of one recipe give the same weights, bit for bit on one kind of CPU."""
+
+    name: str = "custom"
+    """What the recipe is called."""
+    networks: GanConfig = field(default_factory=GanConfig)
+    """The networks, their losses and optimisers."""
+    discriminative: bool = False
+    """Train the U-Net on cross-entropy alone (its head must be `classes`): the paper's 'discriminative model'."""
+    run_seed: int = 0
+    """All that is random follows from it: pairs, their order, first weights, dropout."""
+    batch: int = 8
+    """Pairs in a step, over all devices."""
+    pairs: int = 1024
+    """Pairs in a set."""
+    passes: int = 1
+    """How often a set is gone through, each time in another order."""
+    sets: int = 1
+    """How many sets are made, one after the other."""
+    pair_settings: PairSettings = field(default_factory=PairSettings)
+    """How pairs are made."""
+    source: str | None = None
+    """Folder of pairs (see `import_pairs`) to train on, instead of made ones; the last of them validate."""
+    validation_pairs: int = 128
+    """Pairs that judge the run after each epoch."""
+    checkpoint_steps: int = 500
+    """Steps between checkpoints; there is one after each epoch too."""
+    log_steps: int = 20
+    """Steps between looks at the losses."""
+    largest_loss: float = 1e4
+    """A loss above this has diverged."""
+
+    @property
+    def epoch_steps(self) -> int:
+        """Steps of one pass through a set; what does not fill a batch is left out of that pass."""
+        return self.pairs // self.batch
+
+    @property
+    def epochs(self) -> int:
+        """Passes through all sets."""
+        return self.sets * self.passes
+
+    @property
+    def steps(self) -> int:
+        """Steps of the whole run."""
+        return self.epochs * self.epoch_steps
+
+    def checked(self) -> Recipe:
+        """The recipe itself. Raises SonarjaxError when it cannot be followed."""
+        for name in ("batch", "pairs", "passes", "sets", "validation_pairs", "checkpoint_steps", "log_steps"):
+            if getattr(self, name) < 1:
+                raise SonarjaxError(f"recipe: {name}: expected 1 or more, got {getattr(self, name)}")
+        if self.pairs < self.batch:
+            raise SonarjaxError(f"recipe: pairs: expected at least one batch of {self.batch}, got {self.pairs}")
+        if self.discriminative and self.networks.head != "classes":
+            raise SonarjaxError("recipe: a discriminative model needs networks with the head `classes`")
+        if self.source is not None and self.sets != 1:
+            raise SonarjaxError("recipe: sets: a folder of pairs is one set")
+        return self
+
+    def as_json(self) -> dict[str, Any]:
+        """The recipe in JSON's own types."""
+        return json.loads(json.dumps(dataclasses.asdict(self)))
+
+
+PRESETS: dict[str, Recipe] = {
+    # Seconds: does everything run?
+    "smoke": Recipe(
+        name="smoke",
+        networks=GanConfig(width=4, discriminator_width=4),
+        batch=4,
+        pairs=16,
+        passes=2,
+        validation_pairs=8,
+        checkpoint_steps=4,
+        log_steps=1,
+    ),
+    # The recipe of the shipped weights, for two cores.
+    "cpu": Recipe(
+        name="cpu",
+        networks=GanConfig(width=16, discriminator_width=16),
+        batch=8,
+        pairs=2048,
+        passes=2,
+        sets=12,
+        validation_pairs=256,
+    ),
+    # §3.2 on a GPU: 30 epochs of the 6,780 pairs at full width.
+    "paper": Recipe(
+        name="paper",
+        networks=GanConfig(width=64, dtype="bfloat16"),
+        batch=32,
+        pairs=PAPER_PAIRS,
+        passes=30,
+        validation_pairs=256,
+        checkpoint_steps=1000,
+        log_steps=50,
+    ),
+}
+"""Recipes by name."""
+
+
+def find_recipe(preset: str | Recipe) -> Recipe:
+    """A recipe by name, or as it is. Raises SonarjaxError for an unknown name or a recipe that cannot be followed."""
+    if isinstance(preset, Recipe):
+        return preset.checked()
+    if preset not in PRESETS:
+        raise SonarjaxError(f"training: unknown preset {preset!r}, expected one of: {', '.join(PRESETS)}")
+    return PRESETS[preset].checked()
+
+
+def discriminative(recipe: Recipe) -> Recipe:
+    """The same run for the paper's 'discriminative model': the same U-Net and pairs, cross-entropy alone."""
+    networks = replace(recipe.networks, head="classes")
+    return replace(recipe, name=f"{recipe.name}-discriminative", networks=networks, discriminative=True)

@@ -1,0 +1,71 @@
+"""The folder of a run: what it was asked to do, and whether it may be started or resumed there."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import platform
+from pathlib import Path
+
+import jax
+
+from sonarjax.io import SonarjaxError, read_bytes, write_text
+from sonarjax.io.files import reason
+from sonarjax.segment.training.devices import anywhere
+from sonarjax.segment.training.recipes import Recipe
+
+CONFIG = "config.json"
+LIBRARIES = ("sonarjax", "jax", "jaxlib", "flax", "optax", "numpy")
+
+
+def open_run(recipe: Recipe, run_dir: Path, resume: bool) -> None:
+    """Make `run_dir` the folder of a run of `recipe`; all processes call it, the first one writes.
+
+    Raises SonarjaxError when a run is there and `resume` is false, when it is of another recipe, and when the folder
+    cannot be used. To resume where nothing was begun is to begin.
+    """
+    error: SonarjaxError | None = None
+    if jax.process_index() == 0:
+        try:
+            _open(recipe, run_dir, resume)
+        except SonarjaxError as caught:
+            error = caught
+    if anywhere(error is not None):
+        raise error or SonarjaxError(f"{run_dir}: another process could not use it")
+
+
+def _open(recipe: Recipe, run_dir: Path, resume: bool) -> None:
+    config = run_dir / CONFIG
+    try:
+        (run_dir / "samples").mkdir(parents=True, exist_ok=True)
+        begun = config.exists()
+    except OSError as error:
+        raise SonarjaxError(f"{run_dir}: cannot hold a run: {reason(error)}") from error
+    if begun and not resume:
+        raise SonarjaxError(f"{run_dir}: holds a run already: resume it, or choose another folder")
+    if begun:
+        _check_same(recipe, config)
+    else:
+        write_text(config, json.dumps({"recipe": recipe.as_json(), "versions": versions()}, indent=2) + "\n")
+
+
+def _check_same(recipe: Recipe, config: Path) -> None:
+    try:
+        there = json.loads(read_bytes(config))["recipe"]
+        wanted = recipe.as_json()
+        differing = sorted(k for k in wanted.keys() | there.keys() if wanted.get(k) != there.get(k))
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise SonarjaxError(f"{config}: expected the recipe of a run") from error
+    if differing:
+        raise SonarjaxError(f"{config}: the run there has another recipe: {', '.join(differing)} differ")
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python and of the libraries that decide what a recipe gives."""
+    found = {"python": platform.python_version(), "backend": jax.default_backend()}
+    for name in LIBRARIES:
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            found[name] = "unknown"
+    return found

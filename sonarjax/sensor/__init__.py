@@ -1,0 +1,44 @@
+"""What a real device adds to a rendered frame: propagation, beams, speckle, multipath, gain and eight bits.
+
+`observe` makes a stored image (range, beam) of a `SonarFrame` and a `SensorModel`; the functions it is made of are
+public and stand alone.
+"""
+
+from sonarjax.sensor.beams import array_pattern, beam_gains, beam_mixing, crosstalk_mixing, streaks
+from sonarjax.sensor.display import compress, quantise
+from sonarjax.sensor.model import SensorModel
+from sonarjax.sensor.multipath import bounce_mesh, bounce_points, render_bounces
+from sonarjax.sensor.observe import observe, observe_scene, received_energy, speckle
+from sonarjax.sensor.propagation import (
+    absorption_loss,
+    elevation_gain,
+    floor_elevation,
+    fresh_absorption,
+    noise_floor,
+    pulse_blur,
+    range_middles,
+    reference_energy,
+    reference_range,
+    time_varied_gain,
+)
+from sonarjax.sensor.speckle import (
+    azimuth_kernel,
+    complex_field,
+    correlate,
+    gamma_of_normal,
+    gamma_texture,
+    heavy_tails,
+    multi_look,
+    patchy_normal,
+    range_kernel,
+    speckle_intensity,
+)
+
+__all__ = [
+    "SensorModel", "absorption_loss", "array_pattern", "azimuth_kernel", "beam_gains", "beam_mixing", "bounce_mesh",
+    "bounce_points", "complex_field", "compress", "correlate", "crosstalk_mixing", "elevation_gain", "floor_elevation",
+    "fresh_absorption", "gamma_of_normal", "gamma_texture", "heavy_tails", "multi_look", "noise_floor", "observe",
+    "observe_scene", "patchy_normal", "pulse_blur", "quantise", "range_kernel", "range_middles", "received_energy",
+    "reference_energy", "reference_range", "render_bounces", "speckle", "speckle_intensity", "streaks",
+    "time_varied_gain",
+]  # fmt: skip

@@ -1,0 +1,73 @@
+"""How beams see each other's azimuth: array pattern with side lobes, crosstalk of firing groups, gains, streaks.
+
+Mixing matrices (beam, source) act on rows of an image of mean energy (range, beam); each of their rows sums to one.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from sonarjax.sonar import Sonar
+
+MINUS_3_DB = 0.8859
+"""Width of sinc² at half its maximum, in units of its first zero."""
+
+
+def array_pattern(offset: Float[Array, "*batch"], beam_width: Any) -> Float[Array, "*batch"]:
+    """One-way power gain (...) of a line array at `offset` [rad] from the axis of a beam of −3 dB `beam_width` [rad].
+
+    sinc² of u = 0.886·sin(offset)/beam_width (`jnp.sinc` brings the π): first side lobes at −13.26 dB. Urick,
+    Principles of Underwater Sound (1983), ch. 3.
+    """
+    return jnp.square(jnp.sinc(MINUS_3_DB * jnp.sin(offset) / beam_width))
+
+
+def beam_mixing(sonar: Sonar, widening: Any = 1.0, ways: Any = 2.0) -> Float[Array, "beam source"]:
+    """What share of beam `beam`'s energy comes from the azimuth of `source`: matrix (beam, source), rows sum to one.
+
+    `widening` is the −3 dB width in units of the sonar's `beam_width`, or of the beam's own spacing where that is 0;
+    `ways` is 1 for a pattern on reception only, 2 on transmission too. Beam tables may be uneven.
+    """
+    spacing = jnp.diff(sonar.azimuth_edges)
+    own = jnp.asarray(sonar.beam_width, jnp.float32)
+    own = jnp.where(own > 0, own, spacing)
+    azimuth = jnp.asarray(sonar.azimuth, jnp.float32)
+    gain = array_pattern(azimuth[:, None] - azimuth[None, :], (widening * own)[:, None])
+    return _rows_to_one(jnp.maximum(gain, 1e-12) ** jnp.asarray(ways, jnp.float32) * spacing)
+
+
+def crosstalk_mixing(n_beams: int, leak: Any, period: Any) -> Float[Array, "beam source"]:
+    """Leakage between beams of one firing group, whose numbers differ by multiples of `period`: rows sum to one.
+
+    The matrix (beam, source) gives the nearest such beams `leak` of the own beam's weight, and half as much with every
+    further period. A DIDSON fires 8 sets of 12 beams, hence a comb of period 8.
+    """
+    apart = jnp.abs(jnp.arange(n_beams)[:, None] - jnp.arange(n_beams)[None, :]).astype(jnp.float32)
+    turns = jnp.round(apart / period)
+    member = (turns > 0) & (jnp.abs(apart - turns * period) < 0.5)
+    return _rows_to_one(jnp.eye(n_beams) + jnp.where(member, leak * 0.5 ** jnp.maximum(turns - 1, 0.0), 0.0))
+
+
+def _rows_to_one(weights: Float[Array, "beam source"]) -> Float[Array, "beam source"]:
+    return weights / weights.sum(axis=1, keepdims=True)
+
+
+def streaks(
+    image: Float[Array, "range beam"], highlight: Float[Array, "range beam"], level: Any
+) -> Float[Array, "range beam"]:
+    """Energy (range, beam) with specular rows smeared over all beams, as a glint does through far side lobes.
+
+    A row gains `level` of its brightest object pixel (energy × `highlight`, (range, beam)), in proportion to how that
+    compares with the frame's brightest: only the glint itself makes a visible line.
+    """
+    peak = jnp.max(image * highlight, axis=1, keepdims=True)
+    return image + level * peak * (peak / jnp.maximum(jnp.max(peak), 1e-30))
+
+
+def beam_gains(n_beams: int, std_db: Any, *, key: jax.Array) -> Float[Array, "beam"]:
+    """Gain (beam,) of each beam's energy: normal in dB with a standard deviation of `std_db` [dB] around 0 dB."""
+    return 10 ** (jnp.asarray(std_db, jnp.float32) * jax.random.normal(key, (n_beams,)) / 10)

@@ -1,0 +1,151 @@
+"""The `SensorModel` pytree: what a device and its water add to a rendered frame, as floats only."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+Scalar = Any
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class SensorModel:
+    """How a device turns energy into an image; every field is a float, or an array of one batch shape for `jax.vmap`.
+
+    Choices are floats too, so one compiled `observe` serves a family of devices. Energies are relative to the floor's
+    on the beam axis. The defaults are `nominal()`: a DIDSON in the paper's tank.
+    """
+
+    # Of the defaults, object_gain, noise, speckle, looks, texture and floor_bounce are the outcome of
+    # experiments/calibrate_sensor.py: mean correlation of frames of §4.1 with their own template 0.572 ± 0.03.
+    object_gain: Scalar = 8.0
+    """Backscatter of objects relative to the floor's [dB]; the renderer gives both the same."""
+    floor_lambert: Scalar = 0.0
+    """Exponent of cos(incidence) in the floor's echo [1], beyond the renderer's own; 1 or 2 for Lambert's law."""
+    temperature: Scalar = 15.0
+    """Temperature of the fresh water, which sets the absorption [deg C]."""
+    tvg_absorption: Scalar = 0.9
+    """Share of the absorption that the time-varied gain makes up for [1]."""
+    tvg_exponent: Scalar = 3.7
+    """n of the time-varied gain rⁿ of energy [1]: 4 is 40 log r, which levels a flat floor; 3 is 30 log r."""
+    beam_widening: Scalar = 1.0
+    """−3 dB width of a beam, in units of the sonar's own (its spacing where it gives none) [1]."""
+    beam_ways: Scalar = 2.0
+    """1 where only the receiver forms beams, 2 where the transmitter does too [1]: side lobes at −13 or −27 dB."""
+    elevation_skirt: Scalar = 12.0
+    """How steeply the vertical pattern falls outside the aperture [dB per degree]."""
+    pulse_bins: Scalar = 2.5
+    """Pulse length [range bins], 1 to 9."""
+    crosstalk: Scalar = 0.02
+    """Leak between nearest beams of one firing group, as a share of the beam's own energy [1]."""
+    crosstalk_period: Scalar = 8.0
+    """Step of beam numbers within one firing group [beams]."""
+    streak: Scalar = 0.004
+    """Share of a glint's energy that lights its whole range row [1]."""
+    beam_gain_std: Scalar = 0.4
+    """Standard deviation of the beams' gains [dB]."""
+    noise: Scalar = 0.05
+    """Receiver noise after the gain, at the range of the beam axis on the floor [energy of the floor there]."""
+    speckle: Scalar = 1.0
+    """Speckle of one look [1]: up to 1, fully developed, the intensity's standard deviation over its mean.
+
+    Above 1 the dB values spread by that factor: Weibull's law, heavier-tailed than Rayleigh's."""
+    looks: Scalar = 1.0
+    """Number of independent looks averaged [1], 1 to 4."""
+    texture: Scalar = 0.15
+    """Variance of the bottom's mean energy from patch to patch [1]: 1/shape of the K-distribution."""
+    speckle_beams: Scalar = 0.8
+    """Width of the speckle's correlation in azimuth [mean beam spacings]."""
+    speckle_bins: Scalar = 0.25
+    """Correlation of speckle intensity between neighbouring range bins [1], 0 to 0.5."""
+    floor_bounce: Scalar = 0.3
+    """Energy that a bounce on the floor leaves [1]."""
+    floor_path: Scalar = 1.0
+    """1 where the echo bounces on both ways, 0.5 on one of them [1]."""
+    surface_bounce: Scalar = 0.005
+    """Energy left by a bounce on the water's surface, with the vertical pattern's loss at that angle [1]."""
+    surface_path: Scalar = 0.5
+    """As `floor_path`, for the surface [1]."""
+    water_depth: Scalar = 1.7
+    """Height of the water's surface above the floor [m]."""
+    gain: Scalar = 20.0
+    """How far the floor on the beam axis lies below white [dB]."""
+    automatic_gain: Scalar = 0.2
+    """0: gain fixed by the floor; 1: by the frame's mean energy, so that a glint darkens the rest [1]."""
+    log_share: Scalar = 0.5
+    """Weight of the logarithm against the power law in the stored value [1]."""
+    dynamic_range: Scalar = 40.0
+    """Range of the logarithm from black to white [dB]."""
+    exponent: Scalar = 0.25
+    """Power of energy that is stored [1]: 0.5 is amplitude, 0.25 its square root."""
+
+    @classmethod
+    def nominal(cls, severity: Scalar = 1.0) -> SensorModel:
+        """A DIDSON in a tank; `severity` 0 is free of noise, 1 as hard as the paper's frames, 2 twice that.
+
+        The constants are those of `experiments/calibrate_sensor.py`, which fits them to the paper's correlations only.
+        """
+        return cls().scaled(severity)
+
+    @classmethod
+    def draw(cls, *, key: jax.Array, severity: Scalar = 1.0) -> SensorModel:
+        """A device of the family DIDSON, ARIS, Oculus and beyond: each field drawn from `RANGES`, noise scaled."""
+        *keys, which = jax.random.split(key, len(RANGES) + 1)
+        drawn = {}
+        for (name, (low, high, kind)), part in zip(RANGES.items(), keys, strict=True):
+            share = jax.random.uniform(part)
+            drawn[name] = low * (high / low) ** share if kind == "log" else low + (high - low) * share
+        heard = jax.random.uniform(which, (2,)) < jnp.array([FLOOR_HEARD, SURFACE_HEARD])
+        drawn |= {
+            name: jnp.where(heard[i], drawn[name], 0.0) for i, name in enumerate(("floor_bounce", "surface_bounce"))
+        }
+        drawn["crosstalk_period"] = jnp.round(drawn["crosstalk_period"])
+        return cls(**drawn).scaled(severity)
+
+    def scaled(self, severity: Scalar) -> SensorModel:
+        """The same device with its noise and artefacts (`SCALED`) times `severity`."""
+        return replace(self, **{name: severity * getattr(self, name) for name in SCALED})
+
+
+SCALED = ("crosstalk", "streak", "beam_gain_std", "noise", "speckle", "texture", "floor_bounce", "surface_bounce")
+"""Fields that grow with severity."""
+
+FLOOR_HEARD, SURFACE_HEARD = 0.7, 0.4
+"""Share of the drawn devices with a mirror in the floor, and in the water's surface."""
+
+RANGES: dict[str, tuple[float, float, str]] = {
+    "object_gain": (2.0, 12.0, "even"),
+    "floor_lambert": (0.0, 1.0, "even"),
+    "temperature": (4.0, 20.0, "even"),
+    "tvg_absorption": (0.0, 1.2, "even"),
+    "tvg_exponent": (2.8, 4.4, "even"),
+    "beam_widening": (0.7, 2.0, "even"),
+    "beam_ways": (1.0, 2.0, "even"),
+    "elevation_skirt": (8.0, 16.0, "even"),
+    "pulse_bins": (1.0, 5.0, "even"),
+    "crosstalk": (0.002, 0.08, "log"),
+    "crosstalk_period": (3.0, 16.0, "even"),
+    "streak": (0.0005, 0.02, "log"),
+    "beam_gain_std": (0.1, 1.0, "even"),
+    "noise": (0.005, 0.15, "log"),
+    "speckle": (0.6, 1.2, "even"),
+    "looks": (1.0, 2.5, "even"),
+    "texture": (0.02, 0.4, "log"),
+    "speckle_beams": (0.3, 1.3, "even"),
+    "speckle_bins": (0.0, 0.45, "even"),
+    "floor_bounce": (0.02, 0.6, "log"),
+    "floor_path": (0.5, 1.0, "even"),
+    "surface_bounce": (0.0005, 0.03, "log"),
+    "surface_path": (0.5, 1.0, "even"),
+    "water_depth": (1.2, 3.0, "even"),
+    "gain": (12.0, 26.0, "even"),
+    "automatic_gain": (0.0, 0.8, "even"),
+    "log_share": (0.0, 1.0, "even"),
+    "dynamic_range": (30.0, 60.0, "even"),
+    "exponent": (0.2, 0.5, "even"),
+}
+"""Least and largest value of each field that `draw` gives at severity 1, and whether it is even in it or its log."""

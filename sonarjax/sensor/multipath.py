@@ -1,0 +1,89 @@
+"""Multipath: the object mirrored in the floor or the water's surface, rendered by the same renderer.
+
+Takes a mesh and its pose and returns the mirrored mesh, or the energy (range, beam) that arrives by way of the mirrors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from sonarjax.render import SonarFrame, render
+from sonarjax.render.frame import place_together
+from sonarjax.scene import Mesh, Pose
+from sonarjax.sensor.model import SensorModel
+from sonarjax.sonar import Sonar
+
+WIDE_APERTURE = 2.4
+"""Vertical aperture that the echoes of mirrors are rendered with [rad]: they reach the head from steep angles."""
+
+
+def bounce_points(points: Float[Array, "point 3"], sonar: Sonar, plane: Any, path: Any) -> Float[Array, "point 3"]:
+    """Where points (point, 3) [m] of the ground frame seem to be by way of a mirror in the plane z = `plane` [m].
+
+    The direction is that of the mirror image; the range is (1 − path)·direct + path·image: `path` 1 for a bounce on
+    both ways, 1/2 for one on either way (Urick, Principles of Underwater Sound, 1983, ch. 5: the image method).
+    """
+    head = jnp.stack([jnp.zeros(()), jnp.zeros(()), jnp.asarray(sonar.height, jnp.float32)])
+    direct = jnp.sqrt(jnp.square(points - head).sum(-1, keepdims=True))
+    image = points * jnp.array([1.0, 1.0, -1.0]) + 2 * plane * jnp.array([0.0, 0.0, 1.0]) - head
+    length = jnp.sqrt(jnp.square(image).sum(-1, keepdims=True))
+    return head + image * (path + (1 - path) * direct / length)
+
+
+def bounce_mesh(mesh: Mesh, pose: Pose, sonar: Sonar, plane: Any, path: Any) -> Mesh:
+    """The mesh at `pose`, mirrored in z = `plane` [m] as `bounce_points` has it, in the ground frame.
+
+    Faces keep looking outwards. Those that lie on the mirror are dropped: no sound comes between.
+    """
+    ground = pose.to_ground(mesh.vertices)
+    on_plane = jnp.all(jnp.abs(ground[mesh.faces][..., 2] - plane) < 1e-3, axis=1)
+    faces = jnp.where(on_plane[:, None], 0, mesh.faces[:, ::-1])
+    return replace(mesh, vertices=bounce_points(ground, sonar, plane, path), faces=faces)
+
+
+def render_bounces(
+    mesh: Mesh | Sequence[Mesh],
+    pose: Pose | Sequence[Pose],
+    sonar: Sonar,
+    model: SensorModel,
+    *,
+    sub_beams: int = 1,
+    elevations: int = 32,
+) -> SonarFrame:
+    """Echoes (range, beam) that come by way of floor and surface, weakened by the model's bounce coefficients.
+
+    Its highlight says where they are; it has no shadow and no floor. What the object itself hides of its mirror image
+    is left out only where it stands on the mirror. Raises SonarjaxError as `render` does.
+    """
+    if not isinstance(mesh, Mesh):
+        mesh, pose = place_together(mesh, pose)
+    assert isinstance(pose, Pose)
+
+    def echo(mirror: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        plane, path, left = mirror
+        seen = _without_floor(bounce_mesh(mesh, pose, sonar, plane, path), sonar, sub_beams, elevations)
+        return left * seen.intensity, seen.highlight, seen.lit
+
+    def silence(mirror: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        dark = jnp.zeros(sonar.shape)
+        return dark, dark, dark > 0
+
+    floor = 0.0, model.floor_path, model.floor_bounce
+    surface = model.water_depth, model.surface_path, model.surface_bounce
+    mirrors = tuple(jnp.stack([jnp.asarray(v, jnp.float32) for v in pair]) for pair in zip(floor, surface, strict=True))
+    # One after the other, so that the renderer is compiled once, and not at all where nothing comes back.
+    energy, share, lit = jax.lax.map(lambda m: jax.lax.cond(m[2] > 0, echo, silence, m), mirrors)
+    return SonarFrame(energy.sum(0), share.max(0), jnp.zeros(sonar.shape), lit.any(0))
+
+
+def _without_floor(mesh: Mesh, sonar: Sonar, sub_beams: int, elevations: int) -> SonarFrame:
+    """Render a mesh of the ground frame with sonar and mesh lifted until the floor is beyond the window."""
+    lift = 2.0 * jnp.asarray(sonar.range_max, jnp.float32)
+    lifted = sonar.replace(height=sonar.height + lift, elevation_aperture=WIDE_APERTURE, floor=None)
+    return render(mesh, Pose(z=lift), lifted, sub_beams=sub_beams, elevations=elevations)

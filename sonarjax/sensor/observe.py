@@ -1,0 +1,119 @@
+"""`observe`: a rendered frame as a device would store it; `observe_scene` renders the frame and its multipath first."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from sonarjax.render import SonarFrame, render
+from sonarjax.scene import Mesh, Pose
+from sonarjax.sensor.beams import beam_gains, beam_mixing, crosstalk_mixing, streaks
+from sonarjax.sensor.display import compress, quantise
+from sonarjax.sensor.model import SensorModel
+from sonarjax.sensor.multipath import render_bounces
+from sonarjax.sensor.propagation import (
+    absorption_loss,
+    elevation_gain,
+    floor_elevation,
+    fresh_absorption,
+    noise_floor,
+    pulse_blur,
+    range_middles,
+    reference_energy,
+    reference_range,
+    time_varied_gain,
+)
+from sonarjax.sensor.speckle import (
+    azimuth_kernel,
+    complex_field,
+    correlate,
+    gamma_texture,
+    heavy_tails,
+    multi_look,
+    range_kernel,
+    speckle_intensity,
+)
+from sonarjax.sonar import Sonar
+
+
+def observe(
+    frame: SonarFrame,
+    sonar: Sonar,
+    model: SensorModel,
+    *,
+    key: jax.Array,
+    bounces: SonarFrame | None = None,
+) -> Float[Array, "range beam"]:
+    """The grey image (range, beam) in [0, 1], of 256 values, that a device makes of a rendered `frame`.
+
+    `bounces` are the echoes of `render_bounces`. Works under jit and vmap over keys, models, frames and sonars;
+    differentiable but for the quantisation, whose derivative is taken to be 1.
+    """
+    gains_key, texture_key, speckle_key = jax.random.split(key, 3)
+    energy = received_energy(frame, sonar, model, bounces) * beam_gains(
+        sonar.n_beams, model.beam_gain_std, key=gains_key
+    )
+    energy = energy * gamma_texture(sonar.shape, model.texture, key=texture_key)
+    noise = noise_floor(range_middles(sonar), model.noise, reference_range(sonar))
+    energy = (energy + noise[:, None]) * speckle(sonar, model, key=speckle_key)
+    agc = jnp.asarray(model.automatic_gain, jnp.float32)
+    energy = energy * jnp.maximum(energy.mean(), 1e-6) ** -agc
+    return quantise(compress(energy, model.gain, model.log_share, model.dynamic_range, model.exponent))
+
+
+def received_energy(
+    frame: SonarFrame, sonar: Sonar, model: SensorModel, bounces: SonarFrame | None = None
+) -> Float[Array, "range beam"]:
+    """Mean energy (range, beam) after propagation, beams, pulse and gain, relative to the floor on the beam axis.
+
+    Nothing in it is random: it is what speckle multiplies.
+    """
+    ranges = range_middles(sonar)
+    object_gain = 10 ** (jnp.asarray(model.object_gain, jnp.float32) / 10)
+    slope = jnp.minimum(sonar.height / ranges, 1.0) ** jnp.asarray(model.floor_lambert, jnp.float32)
+    share = frame.highlight
+    energy = frame.intensity * (share * object_gain + (1 - share) * slope[:, None])
+    elevation = elevation_gain(floor_elevation(sonar), sonar.elevation_aperture, model.elevation_skirt)
+    energy = energy * elevation
+    if bounces is not None:
+        energy = energy + object_gain * bounces.intensity
+    absorption = fresh_absorption(sonar.frequency, model.temperature)
+    reference = reference_range(sonar)
+    made_up = time_varied_gain(ranges, reference, model.tvg_exponent, absorption * model.tvg_absorption)
+    left = absorption_loss(ranges - reference, absorption - sonar.absorption)
+    energy = energy * (made_up * left / reference_energy(sonar))[:, None]
+    energy = streaks(pulse_blur(energy, model.pulse_bins), share, model.streak)
+    leak = crosstalk_mixing(sonar.n_beams, model.crosstalk, model.crosstalk_period)
+    return energy @ (leak @ beam_mixing(sonar, model.beam_widening, model.beam_ways)).T
+
+
+def speckle(sonar: Sonar, model: SensorModel, *, key: jax.Array) -> Float[Array, "range beam"]:
+    """Speckle intensity (range, beam) of mean 1 with the model's contrast, looks and correlation."""
+    contrast = jnp.clip(jnp.asarray(model.speckle, jnp.float32), 0.0, 1.0)
+    diffuse = 1 - jnp.sqrt(jnp.maximum(1 - contrast**2, 1e-12))
+    field = complex_field(sonar.shape, key=key)
+    field = correlate(field, azimuth_kernel(sonar, model.speckle_beams), range_kernel(model.speckle_bins))
+    intensity = heavy_tails(speckle_intensity(field, diffuse), jnp.maximum(model.speckle, 1.0))
+    return multi_look(intensity, model.looks)
+
+
+def observe_scene(
+    mesh: Mesh | Sequence[Mesh],
+    pose: Pose | Sequence[Pose],
+    sonar: Sonar,
+    model: SensorModel,
+    *,
+    key: jax.Array,
+    sub_beams: int = 2,
+    elevations: int = 64,
+) -> tuple[Float[Array, "range beam"], SonarFrame]:
+    """The observed image (range, beam) of objects on the floor with their multipath, and the clean frame behind it.
+
+    `sub_beams` and `elevations` as in `render`; raises SonarjaxError as it does.
+    """
+    frame = render(mesh, pose, sonar, sub_beams=sub_beams, elevations=elevations)
+    bounces = render_bounces(mesh, pose, sonar, model)
+    return observe(frame, sonar, model, key=key, bounces=bounces), frame

@@ -1,0 +1,122 @@
+"""What range does to an echo: absorption, the device's time-varied gain, the elevation pattern, the pulse, the noise.
+
+All take slant ranges [m] or an image (range, beam) of mean energy and return factors or an image of the same shape.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from sonarjax.sonar import Sonar
+
+MAX_PULSE_BINS = 9
+"""Longest pulse that `pulse_blur` spreads an echo over [range bins]."""
+
+ARCSIN = (
+    1.5707963050, -0.2145988016, 0.0889789874, -0.0501743046, 0.0308918810, -0.0170881256, 0.0066700901, -0.0012624911,
+)  # fmt: skip
+
+
+def fresh_absorption(frequency: Any, temperature: Any) -> Float[Array, "*batch"]:
+    """Absorption [dB/m], one way, in fresh water at `frequency` [Hz] and `temperature` [deg C], at most 20 °C.
+
+    The viscous term A₃f² of Francois and Garrison (J. Acoust. Soc. Am. 72, 1982, part II), the only one without salts.
+    """
+    t = jnp.asarray(temperature, jnp.float32)
+    a3 = 4.937e-4 + t * (-2.59e-5 + t * (9.11e-7 - 1.50e-8 * t))
+    return a3 * jnp.square(jnp.asarray(frequency, jnp.float32) / 1e3) / 1e3
+
+
+def absorption_loss(ranges: Float[Array, "*batch"], absorption: Any) -> Float[Array, "*batch"]:
+    """Share of the energy that two-way `absorption` [dB/m] leaves of an echo at `ranges` (...) [m]."""
+    return 10 ** (-0.2 * jnp.asarray(absorption, jnp.float32) * ranges)
+
+
+def time_varied_gain(
+    ranges: Float[Array, "*batch"], reference: Any, exponent: Any, absorption: Any
+) -> Float[Array, "*batch"]:
+    """Gain of an echo's energy at `ranges` (...) [m]: (r/reference)^exponent and the two-way `absorption` [dB/m].
+
+    1 at the range `reference` [m]. An exponent of 4 is '40 log r' for points, 3 is '30 log r' for surfaces.
+    """
+    spread = (ranges / reference) ** jnp.asarray(exponent, jnp.float32)
+    return spread / absorption_loss(ranges - reference, absorption)
+
+
+def elevation_gain(offset: Float[Array, "*batch"], aperture: Any, skirt: Any) -> Float[Array, "*batch"]:
+    """Two-way gain (...) at an elevation `offset` [rad] off the beam axis: flat, −3 dB at half the `aperture` [rad].
+
+    Beyond it the gain falls by `skirt` [dB per degree]; 10 to 14 fits an ARIS 3000. Not sinc².
+    """
+    beyond = jnp.degrees(jnp.abs(offset) - jnp.asarray(aperture, jnp.float32) / 2)
+    return 1 / (1 + 10 ** jnp.clip(jnp.asarray(skirt, jnp.float32) * beyond / 10, -20.0, 20.0))
+
+
+def floor_elevation(sonar: Sonar) -> Float[Array, "range beam"]:
+    """Elevation [rad] in the sonar frame of the floor that each pixel (range, beam) shows, without roll.
+
+    From r·(sin φ cos T − cos φ cos θ sin T) = −height. Straight down where the range is shorter than the height.
+    """
+    tilt = jnp.asarray(sonar.tilt, jnp.float32)
+    forward = jnp.cos(jnp.asarray(sonar.azimuth)) * jnp.sin(tilt)
+    reach = jnp.sqrt(jnp.cos(tilt) ** 2 + forward**2)
+    down = sonar.height / (range_middles(sonar)[:, None] * reach)
+    return jnp.arctan2(forward, jnp.cos(tilt)) - _arcsin(jnp.clip(down, 0.0, 1.0 - 1e-6))
+
+
+def _arcsin(x: Array) -> Array:
+    """arcsin of 0 ≤ x < 1 to 2e-8 by Abramowitz and Stegun, 4.4.46: XLA's own takes six times as long on a CPU."""
+    series = jnp.full_like(x, ARCSIN[-1])
+    for coefficient in ARCSIN[-2::-1]:
+        series = series * x + coefficient
+    return math.pi / 2 - jnp.sqrt(1 - x) * series
+
+
+def range_middles(sonar: Sonar) -> Float[Array, "range"]:
+    """Slant range (range,) [m] of the middle of each bin."""
+    return sonar.range_min + sonar.range_bin * (jnp.arange(sonar.n_ranges, dtype=jnp.float32) + 0.5)
+
+
+def reference_range(sonar: Sonar) -> Float[Array, ""]:
+    """Slant range [m] at which the beam axis meets the floor; between 1.05 and 6 heights where it is far or nowhere.
+
+    It depends on neither the window nor what is in it, so a crop of a frame is processed as the frame is.
+    """
+    down = jnp.sin(jnp.clip(jnp.asarray(sonar.tilt, jnp.float32), 1 / 6, math.asin(1 / 1.05)))
+    return sonar.height / down
+
+
+def reference_energy(sonar: Sonar) -> Float[Array, ""]:
+    """Energy [rad/m²] of a bin of bare floor at the reference range, as the renderer counts it (eq. 2, k = 1)."""
+    r = reference_range(sonar)
+    angle = sonar.range_bin * sonar.height / (r * jnp.sqrt(r * r - jnp.square(sonar.height)))
+    absorbed = absorption_loss(r, sonar.absorption) * (sonar.height / r) ** jnp.asarray(sonar.lambert, jnp.float32)
+    return angle * r ** (-jnp.asarray(sonar.spreading_exponent, jnp.float32)) * absorbed
+
+
+def pulse_blur(image: Float[Array, "range beam"], pulse_bins: Any) -> Float[Array, "range beam"]:
+    """Energy (range, beam) spread evenly over a pulse of `pulse_bins` range bins, 1 to 9; a bin's own is no blur.
+
+    The weights sum to one; what would come from beyond the window is taken from its outermost bins.
+    """
+    half = MAX_PULSE_BINS // 2
+    length = jnp.clip(jnp.asarray(pulse_bins, jnp.float32), 1.0, float(MAX_PULSE_BINS))
+    weights = jnp.clip(0.5 + length / 2 - jnp.abs(jnp.arange(-half, half + 1)), 0.0, 1.0) / length
+    rows = image.shape[0]
+    padded = jnp.pad(image, ((half, half), (0, 0)), mode="edge")
+    blurred = weights[0] * padded[:rows]
+    for k in range(1, MAX_PULSE_BINS):
+        blurred += weights[k] * padded[k : k + rows]
+    return blurred
+
+
+def noise_floor(ranges: Float[Array, "*batch"], level: Any, range_max: Any) -> Float[Array, "*batch"]:
+    """Mean energy (...) of the receiver's noise after its gain: level·(r/range_max)² at `ranges` (...) [m].
+
+    `level` is an energy, that at `range_max` [m].
+    """
+    return level * jnp.square(ranges / range_max)

@@ -1,0 +1,77 @@
+"""However it is run, a recipe gives the same: killed and resumed bit for bit, on many devices to rounding."""
+
+from __future__ import annotations
+
+import signal
+import socket
+
+import numpy as np
+import pytest
+from safetensors.numpy import load_file
+
+from sonarjax.segment.training import train
+from tests.segment.training_runs import QUICK, end, plain_pairs, recorded, start, tiny_recipe
+
+EIGHT = f"{QUICK} --xla_force_host_platform_device_count=8"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return plain_pairs(tmp_path_factory.mktemp("pairs") / "plain")
+
+
+@pytest.fixture(scope="module")
+def alone(folder, tmp_path_factory):
+    """A run that was left alone, on one device."""
+    run = tmp_path_factory.mktemp("runs") / "alone"
+    end(start(folder, run))
+    return run
+
+
+def test_killed_at_random_steps_and_resumed(folder, alone, tmp_path, rng):
+    run, at, saving = tmp_path / "run", int(rng.integers(1, 6)), int(rng.integers(6, 10))
+    print(f"killed at step {at}, then in the first save from step {saving} on")
+    # The first is killed between two steps, the second while it writes, the third may finish.
+    end(start(folder, run, "kill_at_step", at), -signal.SIGKILL)
+    end(start(folder, run, "kill_in_save", saving), -signal.SIGKILL)
+    end(start(folder, run))
+    assert (run / "weights.safetensors").read_bytes() == (alone / "weights.safetensors").read_bytes()
+    assert recorded(run) == recorded(alone)
+    assert [line["step"] for line in recorded(run)] == [4, 8, 12]
+
+
+def test_resuming_what_is_done_changes_nothing(folder, alone):
+    before = load_file(alone / "weights.safetensors")
+    result = train(tiny_recipe(folder), alone, resume=True)
+    assert result.finished and result.step == 12
+    np.testing.assert_allclose(result.metrics["psnr_db"], recorded(alone)[-1]["psnr_db"], rtol=1e-5)
+    assert len(recorded(alone)) == 3
+    after = load_file(alone / "weights.safetensors")
+    assert before.keys() == after.keys() and all((before[name] == after[name]).all() for name in before)
+
+
+def test_eight_devices_have_the_losses_of_one(folder, alone, tmp_path):
+    end(start(folder, tmp_path / "eight", XLA_FLAGS=EIGHT))
+    assert_same_losses(recorded(tmp_path / "eight"), recorded(alone))
+
+
+def test_two_processes_have_the_losses_of_one(folder, alone, tmp_path):
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"127.0.0.1:{free.getsockname()[1]}"
+    shared = {"SONARJAX_COORDINATOR": address, "SONARJAX_PROCESSES": "2"}
+    both = [start(folder, tmp_path / "two", SONARJAX_PROCESS=str(number), **shared) for number in range(2)]
+    for process in both:
+        end(process)
+    assert_same_losses(recorded(tmp_path / "two"), recorded(alone))
+
+
+def assert_same_losses(found, wanted):
+    """Sums over a batch are made in another order: float32's rounding, grown over twelve steps."""
+    losses = {name for name in wanted[0] if name.startswith("loss_")}
+    assert losses == {"loss_discriminator", "loss_adversarial", "loss_distance"} and len(wanted) == 3
+    for line, truth in zip(found, wanted, strict=True):
+        assert line["step"] == truth["step"]
+        print({name: abs(line[name] / truth[name] - 1) for name in losses})
+        for name in losses:
+            np.testing.assert_allclose(line[name], truth[name], rtol=1e-4, err_msg=name)

@@ -1,0 +1,176 @@
+"""`train`: it learns, leaves what it says it leaves, stops when asked, and says why when it cannot go on."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from PIL import Image
+
+from sonarjax.data import Pairs
+from sonarjax.io import SonarjaxError
+from sonarjax.segment.step import create_state
+from sonarjax.segment.training import PRESETS, Recipe, batches, discriminative, find_recipe, loop, train
+from sonarjax.segment.training.batches import Batches, validation_set
+from sonarjax.segment.training.devices import device_mesh, make_step
+from sonarjax.segment.training.evaluate import predict
+from tests.segment.training_runs import plain_pairs, recorded, tiny_recipe
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return plain_pairs(tmp_path_factory.mktemp("pairs") / "plain")
+
+
+@pytest.fixture(scope="module")
+def done(folder, tmp_path_factory):
+    """A finished run: folder and result."""
+    run = tmp_path_factory.mktemp("runs") / "done"
+    return run, train(tiny_recipe(folder), run)
+
+
+def test_leaves_what_it_says(done):
+    run, result = done
+    assert result.finished and result.step == 12 and result.weights == run / "weights.safetensors"
+    lines = recorded(run)
+    assert [line["epoch"] for line in lines] == [1, 2, 3]
+    assert lines[-1]["loss_distance"] < lines[0]["loss_distance"]
+    for epoch in (1, 2, 3):
+        with Image.open(run / "samples" / f"epoch_{epoch:04d}.png") as picture:
+            assert picture.size == (4 * 128, 3 * 128)
+    config = json.loads((run / "config.json").read_text())
+    assert config["recipe"]["networks"]["width"] == 2 and config["versions"]["jax"]
+    assert sum(file.stat().st_size for file in (run / "events").iterdir()) > 10_000  # scalars and pictures
+
+
+def test_a_run_is_not_overwritten(done, folder):
+    with pytest.raises(SonarjaxError, match="holds a run already"):
+        train(tiny_recipe(folder), done[0])
+    with pytest.raises(SonarjaxError, match=r"another recipe: networks, run_seed differ"):
+        recipe = tiny_recipe(folder, run_seed=1)
+        train(replace(recipe, networks=replace(recipe.networks, width=3)), done[0], resume=True)
+
+
+def test_stops_when_told_and_goes_on(done, folder, tmp_path, monkeypatch):
+    batch = Batches.batch
+
+    def told(self, step):
+        if step == 4:
+            os.kill(os.getpid(), signal.SIGTERM)
+        return batch(self, step)
+
+    monkeypatch.setattr(Batches, "batch", told)
+    result = train(tiny_recipe(folder), tmp_path / "run")
+    assert (result.finished, result.step, result.weights) == (False, 5, None)
+    assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
+    monkeypatch.undo()
+    again = train(tiny_recipe(folder), tmp_path / "run", resume=True)
+    assert again.finished and recorded(tmp_path / "run") == recorded(done[0])
+
+
+def test_divergence_stops_with_the_last_good_checkpoint_kept(folder, tmp_path, monkeypatch):
+    advance = loop.make_step
+
+    def poisoned(recipe, mesh):
+        step = advance(recipe, mesh)
+
+        def wrong(state, *rest):
+            state, losses = step(state, *rest)
+            if int(state.step) < 5:
+                return state, losses
+            broken = jax.tree.map(lambda v: jnp.nan * v, state.generator)
+            return replace(state, generator=broken), losses | {"distance": jnp.nan * losses["distance"]}
+
+        return wrong
+
+    monkeypatch.setattr(loop, "make_step", poisoned)
+    with pytest.raises(SonarjaxError, match="step 5: the loss `distance` is nan; the last good .* step 4"):
+        train(tiny_recipe(folder), tmp_path / "run")
+    with pytest.raises(SonarjaxError, match="step 6: a weight is not finite; the last good .* step 4"):
+        train(tiny_recipe(folder, log_steps=100), tmp_path / "silent")
+
+
+@pytest.fixture
+def cheap_pairs(monkeypatch):
+    """Pairs that only say which key and number they have; records what was made."""
+    made = []
+
+    def make(count, settings, *, key, first=0):
+        made.append((first, count))
+        shade = (first + np.arange(count) + 100 * int(jax.random.key_data(key)[1] % 2)) % 256
+        image = np.broadcast_to(shade[:, None, None] / 255, (count, 128, 128))
+        return Pairs(jnp.asarray(image, jnp.float32), jnp.zeros(image.shape, jnp.uint8))
+
+    monkeypatch.setattr(batches, "make_pairs", make)
+    monkeypatch.setattr(batches, "AT_ONCE", 8)
+    return made
+
+
+def test_batch_depends_on_its_number_only(cheap_pairs):
+    recipe = Recipe(batch=4, pairs=20, passes=2, sets=3)
+    with Batches(recipe) as in_order:
+        all_of_them = [in_order.batch(step).image[:, 0, 0].tolist() for step in range(recipe.steps)]
+    with Batches(recipe) as late:
+        assert late.batch(23).image[:, 0, 0].tolist() == all_of_them[23]
+        assert late.batch(7).image[:, 0, 0].tolist() == all_of_them[7]  # going back is possible too
+    for epoch in range(6):  # each set twice, in another order
+        seen = [shade for batch in all_of_them[5 * epoch : 5 * epoch + 5] for shade in batch]
+        first = all_of_them[0][0] - all_of_them[0][0] % 100
+        assert sorted(seen) == [first + (epoch // 2) * 20 + n for n in range(20)]
+    assert all_of_them[0:5] != all_of_them[5:10]
+
+
+def test_pairs_of_validation_are_no_pairs_of_training(folder, cheap_pairs):
+    shown = validation_set(tiny_recipe(folder)).image
+    with Batches(tiny_recipe(folder)) as from_folder:
+        trained = np.concatenate([from_folder.batch(step).image for step in range(4)])
+    assert not any((trained == image).all(axis=(1, 2)).any() for image in shown)
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        ({"batch": 0}, "batch: expected 1 or more"),
+        ({"pairs": 4}, "at least one batch of 8"),
+        ({"discriminative": True}, "head `classes`"),
+        ({"sets": 2}, "is one set"),
+    ],
+)
+def test_recipes_that_cannot_be_followed(tmp_path, changes, complaint):
+    with pytest.raises(SonarjaxError, match=complaint):
+        train(tiny_recipe(tmp_path, **changes), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def test_presets(tmp_path):
+    assert set(PRESETS) == {"smoke", "cpu", "paper"} and find_recipe("paper").pairs == 6780
+    assert find_recipe("paper").epochs == 30 and find_recipe("paper").networks.width == 64
+    for name, recipe in PRESETS.items():
+        assert recipe.name == name and recipe.networks.learning_rate == 2e-4 and recipe.networks.beta1 == 0.5
+        assert discriminative(recipe).checked().networks.head == "classes"
+    with pytest.raises(SonarjaxError, match="smoke, cpu, paper"):
+        train("huge", tmp_path)
+
+
+def test_folder_must_hold_enough(folder, tmp_path):
+    with pytest.raises(SonarjaxError, match="expected 104 pairs or more, got 36"):
+        train(tiny_recipe(folder, pairs=100), tmp_path / "run")
+
+
+def test_discriminative_model_is_trained_on_labels(folder):
+    """Only traced, not compiled: its step is tested beside the networks."""
+    recipe = discriminative(tiny_recipe(folder))
+    state = jax.eval_shape(lambda key: create_state(recipe.networks, key=key), jax.random.key(0))
+    pairs = [jax.ShapeDtypeStruct((8, 128, 128), jnp.uint8)] * 2
+    after, losses = jax.eval_shape(make_step(recipe, device_mesh(8)), state, *pairs, np.zeros(2, np.uint32))
+    assert set(losses) == {"cross_entropy"}
+    grey, labels = jax.eval_shape(
+        lambda weights, image: predict(recipe.networks, weights, image), after.weights(), jnp.zeros((2, 128, 128))
+    )
+    assert grey.shape == labels.shape == (2, 128, 128) and labels.dtype == jnp.uint8

@@ -1,0 +1,164 @@
+"""`observe` and `SensorModel`: reproducible, noise-free at severity 0, one compilation for a family, differentiable."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields, replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from sonarjax.render import SonarFrame
+from sonarjax.sensor import SensorModel, elevation_gain, floor_elevation, observe, range_middles, received_energy
+from sonarjax.sensor.model import RANGES, SCALED
+from sonarjax.sonar import Sonar
+
+ROWS, BEAMS = slice(60, 80), slice(18, 30)  # of an object, and its shadow behind
+SHADOW = slice(80, 110)
+
+
+def sonar_of(name: str) -> Sonar:
+    """Part of a device's beams, in 160 bins about the place where the beam axis meets the floor."""
+    sonar = Sonar.preset(name, tilt=math.radians(25), range_min=1.7, range_max=2.6, n_ranges=160)
+    return sonar.replace(azimuth=sonar.azimuth[:48])
+
+
+def frame_of(sonar: Sonar) -> SonarFrame:
+    """Flat floor (h·Δr/(r⁴·cos) as the renderer has it) with a bright block and its shadow; nothing is rendered."""
+    r = range_middles(sonar)[:, None] * jnp.ones(sonar.shape)
+    floor = sonar.height * sonar.range_bin / (r**3 * jnp.sqrt(r**2 - sonar.height**2))
+    highlight = jnp.zeros(sonar.shape).at[ROWS, BEAMS].set(1.0)
+    shadow = jnp.zeros(sonar.shape).at[SHADOW, BEAMS].set(1.0)
+    intensity = floor * (1 - shadow) * (1 + 3 * highlight)
+    return SonarFrame(intensity, highlight, shadow, intensity > 0)
+
+
+SONAR = sonar_of("didson-hf")
+FRAME = frame_of(SONAR)
+look = jax.jit(observe)
+
+
+def seen(severity: float, key: jax.Array) -> np.ndarray:
+    return np.asarray(look(FRAME, SONAR, SensorModel.nominal(severity), key=key))
+
+
+def test_same_key_same_image_other_key_other_image(key: jax.Array) -> None:
+    first, again, other = seen(1.0, key), seen(1.0, key), seen(1.0, jax.random.key(1))
+    assert np.array_equal(first, again)
+    assert (first != other).mean() > 0.9
+
+
+def test_severity_zero_is_noise_free(key: jax.Array) -> None:
+    first, other = seen(0.0, key), seen(0.0, jax.random.key(1))
+    assert np.array_equal(first, other)
+    assert first[84:106, 21:27].max() < 0.05  # side lobes alone
+    floor = first[112:150, :10]
+    assert np.ptp(floor) < 0.05
+    assert first[65:75, 21:27].mean() > floor.mean() + 0.2
+
+
+def test_noise_grows_with_severity(key: jax.Array) -> None:
+    clean = seen(0.0, key)
+    errors = [np.sqrt(np.mean((seen(s, key) - clean) ** 2)) for s in (0.25, 0.5, 1.0, 1.5, 2.0)]
+    assert (np.diff(errors) > 0).all()
+
+
+def test_image_is_in_256_steps_and_its_parts_in_order(key: jax.Array) -> None:
+    image = seen(1.0, key)
+    assert image.shape == SONAR.shape and image.dtype == np.float32
+    assert image.min() >= 0 and image.max() <= 1
+    assert np.abs(255 * image - np.rint(255 * image)).max() < 1e-4
+    parts = [image[SHADOW, 20:28], image[112:150], image[ROWS, 20:28]]
+    assert parts[0].mean() + 0.1 < parts[1].mean() < parts[2].mean() - 0.15
+    assert parts[1].std() > 0.05  # the floor is visible and speckled
+
+
+def test_floor_follows_the_elevation_pattern() -> None:
+    """Without gain errors a flat floor shows nothing but the vertical pattern."""
+    model = replace(SensorModel.nominal(0.0), tvg_exponent=4.0, tvg_absorption=1.0, pulse_bins=1.0, beam_widening=1e-3)
+    r = range_middles(SONAR)[:, None] * jnp.ones(SONAR.shape)
+    bare = SONAR.height * SONAR.range_bin / (r**3 * jnp.sqrt(r**2 - SONAR.height**2))
+    empty = SonarFrame(bare, 0 * bare, 0 * bare, bare > 0)
+    expected = elevation_gain(floor_elevation(SONAR), SONAR.elevation_aperture, model.elevation_skirt)
+    slant = np.sqrt(1 - (float(SONAR.height) / np.asarray(r)) ** 2)
+    found = np.asarray(received_energy(empty, SONAR, model)) * slant / math.cos(math.radians(25))
+    assert found == pytest.approx(np.asarray(expected), rel=2e-3)
+
+
+def test_mixing_moves_energy_but_adds_none() -> None:
+    """Pulse, pattern and crosstalk on an even image change nothing; on the scene they keep its mean."""
+    plain = replace(SensorModel.nominal(0.0), pulse_bins=1.0, beam_widening=1e-3)
+    mixed = replace(plain, pulse_bins=4.0, beam_widening=1.5, crosstalk=0.05)
+    before, after = (np.asarray(received_energy(FRAME, SONAR, m), np.float64) for m in (plain, mixed))
+    assert after.sum() == pytest.approx(before.sum(), rel=0.01)  # what crosses the window's edge is replaced
+    assert np.abs(after - before).max() > 0.5
+
+
+@pytest.mark.parametrize("name", ["aris-1800", "oculus"])
+def test_one_compilation_serves_a_batch_of_devices_and_keys(name: str, key: jax.Array) -> None:
+    """Models and keys batch under vmap and jit, on uneven beam tables, and agree with one at a time."""
+    sonar = sonar_of(name)
+    frame = frame_of(sonar)
+    keys = jax.random.split(key, 3)
+    models = jax.vmap(lambda k: SensorModel.draw(key=k))(keys)
+    batch = jax.jit(jax.vmap(lambda m, k: observe(frame, sonar, m, key=k)))(models, keys)
+    assert batch.shape == (3, *sonar.shape) and bool(jnp.isfinite(batch).all())
+    single = look(frame, sonar, jax.tree.map(lambda v: v[1], models), key=keys[1])
+    assert np.abs(np.asarray(batch[1]) - np.asarray(single)).max() <= 1.01 / 255
+    assert len({float(image.mean()) for image in batch}) == 3
+
+
+def test_nominal_is_the_default_and_scales() -> None:
+    base, twice = SensorModel(), SensorModel.nominal(2.0)
+    for field in fields(SensorModel):
+        scale = 2.0 if field.name in SCALED else 1.0
+        assert getattr(twice, field.name) == pytest.approx(scale * getattr(base, field.name))
+        assert getattr(SensorModel.nominal(), field.name) == getattr(base, field.name)
+
+
+def test_draws_fill_their_ranges_around_the_nominal_device() -> None:
+    draw = jax.jit(jax.vmap(lambda k: SensorModel.draw(key=k)))
+    models, again = (draw(jax.random.split(jax.random.key(5), 400)) for _ in range(2))
+    assert set(RANGES) == {field.name for field in fields(SensorModel)}
+    for name, (low, high, _) in RANGES.items():
+        values = np.asarray(getattr(models, name))
+        assert np.array_equal(values, np.asarray(getattr(again, name)))
+        spoken = values[values > 0]
+        margin = 1e-5 * high + (0.5 if name == "crosstalk_period" else 0.0)
+        assert spoken.min() >= low - margin and spoken.max() <= high + margin
+        assert np.ptp(spoken) > 0.9 * (high - low)
+        assert low <= getattr(SensorModel(), name) <= high
+    assert np.mean(np.asarray(models.surface_bounce) == 0) == pytest.approx(0.6, abs=0.1)
+
+
+def test_received_energy_differentiates_in_the_model() -> None:
+    names = ("object_gain", "pulse_bins", "beam_widening", "tvg_exponent", "temperature", "elevation_skirt", "streak")
+
+    @jax.jit
+    def loss(values: jax.Array) -> jax.Array:
+        model = replace(SensorModel.nominal(), **dict(zip(names, values, strict=True)))
+        return jnp.square(received_energy(FRAME, SONAR, model)).mean()
+
+    at = jnp.array([getattr(SensorModel(), name) for name in names])
+    slopes = np.asarray(jax.grad(loss)(at))
+    for k, name in enumerate(names):
+        step = jnp.zeros(len(names)).at[k].set(0.01 * at[k])
+        expected = float(loss(at + step) - loss(at - step)) / float(0.02 * at[k])
+        assert slopes[k] == pytest.approx(expected, rel=0.03, abs=2e-3), name
+
+
+@jax.jit
+@partial(jax.grad, argnums=(0, 1, 2))
+def mean_slopes(model: SensorModel, intensity: jax.Array, tilt: jax.Array, key: jax.Array) -> jax.Array:
+    return observe(replace(FRAME, intensity=intensity), SONAR.replace(tilt=tilt), model, key=key).mean()
+
+
+@pytest.mark.parametrize("severity", [0.0, 1.0, 2.0])
+def test_observe_has_finite_slopes_in_everything(key: jax.Array, severity: float) -> None:
+    model = jax.tree.map(jnp.float32, SensorModel.nominal(severity))
+    slopes = mean_slopes(model, FRAME.intensity, jnp.float32(0.4), key)
+    assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(slopes))
+    assert float(slopes[0].gain) < 0  # the more room below white, the darker
