@@ -7,11 +7,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from skimage.filters import median as median_filter
-from skimage.filters import threshold_multiotsu
+from skimage.filters import threshold_multiotsu, threshold_otsu
 
 from sonarjax.io.errors import SonarjaxError
 
-SEGMENTERS = ("none", "otsu")
+SEGMENTERS = ("none", "otsu", "otsu1", "otsu3", "median-otsu")
+"""Names that `segment` knows."""
+MEDIANS = {"otsu": 3, "median-otsu": 5}
+"""Side of the median filter before the thresholds [pixel]."""
 GREY = np.array([0.5, 1.0, 0.0], np.float32)
 """Grey value of each label: background, highlight, shadow."""
 
@@ -21,16 +24,16 @@ def segment(
 ) -> UInt8[np.ndarray, "range beam"]:
     """Labels (range, beam) of a grey frame: 0 background, 1 highlight, 2 shadow; pixels outside `mask` are background.
 
-    `otsu` puts Otsu's two thresholds on the 3 × 3 median of the frame; `none` cuts the frame at 1/4 and 3/4.
+    `otsu1` is Otsu's one threshold: highlight above it, no shadow. `otsu3` puts his two thresholds on the frame, `otsu`
+    on its 3 × 3 median, `median-otsu` on its 5 × 5 median. `none` cuts the frame at 1/4 and 3/4.
     Raises SonarjaxError for an unknown name.
     """
     check_segmenter(name)
     image = np.asarray(image, np.float32)
     measured = np.ones(image.shape, bool) if mask is None else np.asarray(mask, bool)
-    low, high = (0.25, 0.75) if name == "none" else (0.0, 1.0)
-    if name == "otsu":
-        image = median_filter(image, np.ones((3, 3)))
-        low, high = _two_thresholds(image[measured])
+    if name in MEDIANS:
+        image = median_filter(image, np.ones((MEDIANS[name], MEDIANS[name])))
+    low, high = _thresholds(image[measured], name)
     labels = np.where(image > high, 1, np.where(image <= low, 2, 0))
     return np.where(measured, labels, 0).astype(np.uint8)
 
@@ -44,6 +47,17 @@ def check_segmenter(name: str) -> None:
 def to_grey(labels: Any) -> Float[np.ndarray, "range beam"]:
     """Labels (range, beam) as one grey image: shadow 0, background 0.5, highlight 1."""
     return GREY[np.asarray(labels)]
+
+
+def _thresholds(values: Float[np.ndarray, " pixel"], name: str) -> tuple[float, float]:
+    if name == "none":
+        return 0.25, 0.75
+    return _one_threshold(values) if name == "otsu1" else _two_thresholds(values)
+
+
+def _one_threshold(values: Float[np.ndarray, " pixel"]) -> tuple[float, float]:
+    lowest, highest = float(values.min()), float(values.max())
+    return lowest - 1.0, float(threshold_otsu(values)) if highest > lowest else highest
 
 
 def _two_thresholds(values: Float[np.ndarray, " pixel"]) -> tuple[float, float]:

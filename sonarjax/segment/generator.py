@@ -74,10 +74,9 @@ class Generator(nn.Module):
         """Output of layer 15, before its nonlinearity, from that of layer 8."""
         output = 1 if self.head == "tanh" else 3
         for n in range(9, 16):
-            if self.skips:
-                x = jnp.concatenate([x, layers[15 - n]], -1)  # layer 16 − n, counted from 1
+            copied = (layers[15 - n],) if self.skips else ()  # layer 16 − n, counted from 1
             features = output if n == 15 else self.width * self.multipliers[14 - n]
-            x = Up(features, n == 15, 2 if n == 9 else 4, self.dtype, self.backend, name=f"up{n}")(x)
+            x = Up(features, n == 15, 2 if n == 9 else 4, self.dtype, self.backend, name=f"up{n}")(x, *copied)
             if n == 15:
                 break
             x = BatchNorm(name=f"norm{n}")(x, train)

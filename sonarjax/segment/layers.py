@@ -6,6 +6,7 @@ transposed one most of all), so there `product` is the same layer as matrix prod
 
 from __future__ import annotations
 
+from itertools import accumulate
 from typing import Any, Literal
 
 import jax
@@ -90,7 +91,8 @@ def patch(
     n, h, w, c = x.shape
     features = kernel.shape[-1]
     # The sixteen products of every pixel first, then sums of shifted maps, which are thin.
-    each = (x @ kernel.transpose(2, 0, 1, 3).reshape(c, -1)).reshape(n, h, w, 4, 4, features)
+    matrix = kernel.transpose(2, 0, 1, 3).reshape(c, -1)
+    each = products.product(x.reshape(-1, c), matrix).reshape(n, h, w, 4, 4, features)
     each = jnp.pad(each, ((0, 0), (1, 1), (1, 1), (0, 0), (0, 0), (0, 0)))
     return jnp.asarray(sum(each[:, a : a + h - 1, b : b + w - 1, a, b] for a in range(4) for b in range(4)))
 
@@ -129,11 +131,18 @@ class Up(nn.Module):
 
     @nn.compact
     def __call__(
-        self, x: Float[Array, "batch height width channel"]
+        self, *parts: Float[Array, "batch height width _"]
     ) -> Float[Array, "batch twiceheight twicewidth feature"]:
-        """Maps (batch, height, width, channel) to (batch, twiceheight, twicewidth, feature)."""
-        kernel = _kernel(self, self.size, self.features, x.shape[-1]).astype(self.dtype)
-        x = x.astype(self.dtype)
+        """Maps (batch, height, width, channel), their channels joined, to (batch, twiceheight, twicewidth, feature)."""
+        kernel = _kernel(self, self.size, self.features, sum(v.shape[-1] for v in parts)).astype(self.dtype)
+        parts = tuple(v.astype(self.dtype) for v in parts)
+        if self.features < products.THIN and self.size == 4:
+            # The layer is linear: with few features, adding its parts' outputs is cheaper than joining its inputs.
+            ends = list(accumulate(v.shape[-1] for v in parts))
+            kernels = jnp.split(kernel, ends[:-1], -1)
+            y = sum(up(v, k, self.backend) for v, k in zip(parts, kernels, strict=True))
+            return _biased(self, jnp.asarray(y))
+        x = jnp.concatenate(parts, -1)
         return _biased(self, up(x, kernel, self.backend) if self.size == 4 else up_two(x, kernel))
 
 

@@ -18,7 +18,7 @@ from sonarjax.segment import direct, winograd
 
 THIN = 8
 """Channels of the large map below which its tiles are too thin to be worth transforming."""
-TILES = 16
+TILES = 24
 """Tiles of the whole batch below which transforming the kernel costs more than the products that it saves."""
 
 
@@ -30,7 +30,8 @@ def down(x: Array, kernel: Array) -> Array:
 
 def up(x: Array, kernel: Array) -> Array:
     """Its transpose (n, h, w, f) -> (n, 2h, 2w, c) with the same kernel (4, 4, c, f)."""
-    return _up(scheme(*x.shape[:3], kernel.shape[2]), x, kernel)
+    n, h, w, _ = x.shape
+    return _up(scheme(n, h, w, kernel.shape[2]), x, kernel)
 
 
 def scheme(n: int, h: int, w: int, channels: int) -> ModuleType:
@@ -77,10 +78,32 @@ def _up_backward(by: ModuleType, saved: tuple[Array, Array], slope: Array) -> tu
 _up.defvjp(_up_forward, _up_backward)
 
 
+@jax.custom_vjp
+def product(a: Array, b: Array) -> Array:
+    """a · b with a gradient by `b` that XLA's CPU is quick at; JAX derives the product of two transposed matrices."""
+    return a @ b
+
+
+def _product_forward(a: Array, b: Array) -> tuple[Array, tuple[Array, Array]]:
+    return a @ b, (a, b)
+
+
+def _product_backward(saved: tuple[Array, Array], slope: Array) -> tuple[Array, Array]:
+    a, b = saved
+    return slope @ b.T, _correlation(a, slope)
+
+
+product.defvjp(_product_forward, _product_backward)
+
+
 def _products(left: list[Array], right: list[Array]) -> list[Array]:
     return [a @ b for a, b in zip(left, right, strict=True)]
 
 
 def _correlations(left: list[Array], right: list[Array]) -> list[Array]:
-    """leftᵀ · right of each pair: sums over tiles or pixels."""
-    return [jnp.einsum("tc,tf->cf", a, b) for a, b in zip(left, right, strict=True)]
+    return [_correlation(a, b) for a, b in zip(left, right, strict=True)]
+
+
+def _correlation(a: Array, b: Array) -> Array:
+    """aᵀ · b: a sum over tiles or pixels."""
+    return jnp.einsum("tc,tf->cf", a, b)

@@ -40,7 +40,7 @@ def scatter(nine: Nine, small: tuple[int, int, int]) -> Array:
     c = nine[0].shape[-1] // 4
     maps = [v.reshape(n, t, u, 2, 2, c) for v in nine]
     rows = [_overlap(maps[i], maps[3 + i], maps[6 + i], 1) for i in range(3)]  # [column tap][pixel row]
-    pixels = [jnp.stack(_overlap(*(rows[j][i] for j in range(3)), 2), 3) for i in range(4)]  # (n, t, u, 4, c) each
+    pixels = [jnp.stack(_overlap(rows[0][i], rows[1][i], rows[2][i], 2), 3) for i in range(4)]  # (n, t, u, 4, c) each
     return jnp.stack(pixels, 2).reshape(n, 4 * t, 4 * u, c)
 
 
@@ -77,15 +77,12 @@ def _sums(first: Array, second: Array) -> Nine:
 
 def spread_kernel(kernel: Array) -> Nine:
     """Kernel (4, 4, c, f) -> nine matrices (4c, f)."""
-    _, _, c, f = kernel.shape
-    blocks = kernel.reshape(2, 2, 2, 2, c, f).transpose(0, 2, 1, 3, 4, 5)
-    rows = _sums(blocks[0], blocks[1])
-    return [v.reshape(4 * c, f) for r in rows for v in _sums(r[0], r[1])]
+    rows = _sums(kernel[:2], kernel[2:])
+    return [v.reshape(-1, kernel.shape[-1]) for r in rows for v in _sums(r[:, :2], r[:, 2:])]
 
 
 def join_kernel(nine: Nine, shape: tuple[int, ...]) -> Array:
     """Transpose of `spread_kernel`: nine matrices (4c, f) -> kernel (4, 4, c, f)."""
-    _, _, c, f = shape
-    rows = [(nine[i] + nine[3 + i], nine[3 + i] + nine[6 + i]) for i in range(3)]
-    blocks = jnp.stack([jnp.stack([rows[0][i] + rows[1][i], rows[1][i] + rows[2][i]]) for i in range(2)])
-    return blocks.reshape(2, 2, 2, 2, c, f).transpose(0, 2, 1, 3, 4, 5).reshape(4, 4, c, f)
+    maps = [v.reshape(2, 2, *shape[2:]) for v in nine]
+    rows = [jnp.concatenate([maps[i] + maps[3 + i], maps[3 + i] + maps[6 + i]]) for i in range(3)]
+    return jnp.concatenate([rows[0] + rows[1], rows[1] + rows[2]], 1)

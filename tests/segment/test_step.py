@@ -64,7 +64,8 @@ def test_step_is_pytorchs(rng: np.random.Generator, key: jax.Array) -> None:
     before = jax.tree.map(np.array, state.generator)
     g, d, losses = torch_step(state, x, y)
     with nn.intercept_methods(without_dropout):
-        moved, found = jax.jit(train_step.__wrapped__)(state, x, y, key=key)
+        # A function of its own: JAX would keep a trace of `train_step` itself, and give it to the tests that follow.
+        moved, found = jax.jit(lambda *v: train_step.__wrapped__(*v, key=key))(state, x, y)
     assert [float(found[n]) for n in ("discriminator", "adversarial", "distance")] == pytest.approx(losses, rel=1e-4)
     for ours, theirs in ((moved.generator, g), (moved.discriminator, d)):
         for path, value in jax.tree_util.tree_leaves_with_path(ours):

@@ -1,0 +1,142 @@
+"""A trained generator in a file and in use: saved, loaded (the shipped one by default), run on patches.
+
+Networks are stored by the names of their places (`params.down1.kernel`), kernels in half precision. What a network is
+(width, head, skips) is read off the shapes of its arrays, so a file cannot contradict itself.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, UInt8
+
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.safetensors import read_safetensors, write_safetensors
+from sonarjax.segment.generator import Generator, to_grey
+
+Storage = Literal["float16", "float32"]
+"""How kernels are stored: weights are about 0.02, where float16 has eight times the precision of bfloat16."""
+SHIPPED = "weights"
+"""Folder of the package, beside this file, that holds the shipped network."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class GeneratorWeights:
+    """A generator ready for use; a pytree, with the network's shape static."""
+
+    variables: Any
+    """Parameters and running statistics, for `module.apply`."""
+    module: Generator = field(metadata={"static": True})
+    """The network."""
+
+
+def save_generator(
+    path: str | os.PathLike[str], variables: Any, about: Mapping[str, Any], storage: Storage = "float16"
+) -> None:
+    """Write a generator's `variables` and `about` them (recipe, seed, versions, metrics: JSON's types); all or nothing.
+
+    Kernels are stored as `storage`, everything thinner as float32. Raises SonarjaxError when a weight is not finite in
+    that type, or the file cannot be written.
+    """
+    flat, _ = jax.tree_util.tree_flatten_with_path(variables)
+    arrays = {}
+    for place, leaf in flat:
+        name = jax.tree_util.keystr(place, simple=True, separator=".")
+        with np.errstate(over="ignore"):  # said below, with the name of the array
+            arrays[name] = np.asarray(leaf).astype(jnp.dtype(storage) if np.ndim(leaf) > 1 else np.float32)
+        if not np.isfinite(arrays[name].astype(np.float32)).all():
+            raise SonarjaxError(f"{os.fspath(path)}: {name}: not finite as {storage}")
+    write_safetensors(path, arrays, about)
+
+
+def load_generator(path: str | os.PathLike[str] | None = None) -> GeneratorWeights:
+    """The generator of a file that `save_generator` wrote, in float32; without `path` the one shipped with the package.
+
+    Raises SonarjaxError when the file is missing or damaged, or its arrays are not those of a generator.
+    """
+    if path is None:
+        return _shipped()
+    arrays, _ = read_safetensors(path)
+    name = os.fspath(path)
+    module = _module_of(arrays, name)
+    image = jax.ShapeDtypeStruct((1, 128, 128, 1), jnp.float32)
+    expected = jax.eval_shape(module.init, jax.random.key(0), image)
+    flat, tree = jax.tree_util.tree_flatten_with_path(expected)
+    places = [jax.tree_util.keystr(place, simple=True, separator=".") for place, _ in flat]
+    if set(places) != set(arrays):
+        odd = sorted(set(places) ^ set(arrays))
+        raise SonarjaxError(f"{name}: expected the arrays of a generator, {odd[0]} is missing or too many")
+    for place, (_, leaf) in zip(places, flat, strict=True):
+        if arrays[place].shape != leaf.shape:
+            raise SonarjaxError(f"{name}: {place}: expected shape {leaf.shape}, got {arrays[place].shape}")
+    leaves = [jnp.asarray(arrays[place].astype(np.float32)) for place in places]
+    return GeneratorWeights(jax.tree_util.tree_unflatten(tree, leaves), module)
+
+
+def describe_weights(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """What a weights file says about itself: recipe, seed, versions, metrics. Raises SonarjaxError as loading does."""
+    return read_safetensors(path)[1]
+
+
+def shipped_path() -> Path:
+    """The weights file that came with the package. Raises SonarjaxError when there is none, or more than one."""
+    folder = resources.files("sonarjax.segment") / SHIPPED
+    found = sorted(Path(str(folder)).glob("*.safetensors"))
+    if len(found) != 1:
+        raise SonarjaxError(f"{folder}: expected one shipped weights file, found {len(found)}: train or name one")
+    return found[0]
+
+
+@cache
+def _shipped() -> GeneratorWeights:
+    return load_generator(shipped_path())
+
+
+def _module_of(arrays: Mapping[str, np.ndarray], name: str) -> Generator:
+    """The network whose arrays these are, from the shapes of a few; the rest is checked against it afterwards."""
+    try:
+        features = [arrays[f"params.down{n}.kernel"].shape[3] for n in range(1, 8)]
+        output, channels = arrays["params.up15.kernel"].shape[2:]
+        width = features[0]
+        multipliers = tuple(f // width for f in features)
+    except (KeyError, IndexError, ValueError, ZeroDivisionError) as error:
+        raise SonarjaxError(f"{name}: expected the arrays of a generator (params.down1.kernel and others)") from error
+    return Generator(width, "tanh" if output == 1 else "classes", channels == 2 * width, multipliers)
+
+
+@jax.jit
+def segment_patch(
+    weights: GeneratorWeights, images: Float[Array, "patch height width"]
+) -> Float[Array, "patch height width"]:
+    """Semantic grey of `images`, both (patch, height, width) in [0, 1]: shadow 0, background 0.5, highlight 1.
+
+    Height and width are multiples of 128: patches, or a padded frame. No dropout: the mean answer. Raises
+    SonarjaxError for another size.
+    """
+    output = weights.module.apply(weights.variables, 2 * images[..., None] - 1)
+    return (to_grey(jnp.asarray(output))[..., 0] + 1) / 2
+
+
+@jax.jit
+def label_patch(
+    weights: GeneratorWeights, images: Float[Array, "patch height width"]
+) -> UInt8[Array, "patch height width"]:
+    """Labels of `images`, both (patch, height, width): the likeliest class, or the nearest of the three greys.
+
+    Raises SonarjaxError as `segment_patch` does.
+    """
+    output = jnp.asarray(weights.module.apply(weights.variables, 2 * images[..., None] - 1))
+    if output.shape[-1] == 3:
+        return output.argmax(-1).astype(jnp.uint8)
+    grey = output[..., 0]
+    return jnp.where(grey > 0.5, 1, jnp.where(grey < -0.5, 2, 0)).astype(jnp.uint8)

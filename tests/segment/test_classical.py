@@ -1,0 +1,52 @@
+"""Classical segmentation on frames whose classes are known, and against scikit-image's thresholds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from skimage.filters import threshold_multiotsu, threshold_otsu
+
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.segment.classical import MEDIANS, SEGMENTERS, segment
+
+
+def scene(rng: np.random.Generator, noise: float) -> tuple[np.ndarray, np.ndarray]:
+    """A grey frame with a highlight and a shadow in noise, and its labels."""
+    labels = np.zeros((60, 40), np.uint8)
+    labels[10:25, 10:30], labels[25:50, 10:30] = 1, 2
+    grey = np.array([0.4, 0.9, 0.1])[labels] + rng.normal(0, noise, labels.shape)
+    return np.clip(grey, 0, 1).astype(np.float32), labels
+
+
+def test_three_levels_are_found(rng: np.random.Generator) -> None:
+    image, labels = scene(rng, 0.02)
+    assert (segment(image, "otsu3") == labels).all()
+    for name in MEDIANS:  # a median rounds the corners of the squares off
+        assert (segment(image, name) != labels).mean() < 0.02
+
+
+def test_medians_take_noise_away(rng: np.random.Generator) -> None:
+    image, labels = scene(rng, 0.2)
+    wrong = {name: (segment(image, name) != labels).mean() for name in ("otsu3", "otsu", "median-otsu")}
+    assert wrong["median-otsu"] < wrong["otsu"] < wrong["otsu3"]
+
+
+def test_thresholds_are_otsus(rng: np.random.Generator) -> None:
+    image, _ = scene(rng, 0.1)
+    np.testing.assert_array_equal(segment(image, "otsu1"), image > threshold_otsu(image))
+    low, high = threshold_multiotsu(image)
+    np.testing.assert_array_equal(segment(image, "otsu3"), np.where(image > high, 1, np.where(image <= low, 2, 0)))
+
+
+@pytest.mark.parametrize("name", SEGMENTERS)
+def test_a_constant_frame_and_what_was_not_measured(name: str, rng: np.random.Generator) -> None:
+    assert not segment(np.full((8, 8), 0.5, np.float32), name).any()
+    image, _ = scene(rng, 0.1)
+    mask = np.ones(image.shape, bool)
+    mask[:30] = False
+    assert not segment(image, name, mask)[:30].any()
+
+
+def test_unknown_name() -> None:
+    with pytest.raises(SonarjaxError, match="otsu3"):
+        segment(np.zeros((4, 4), np.float32), "otsu2")
