@@ -35,11 +35,11 @@ from sonarjax.segment.training.devices import (
     place_state,
 )
 from sonarjax.segment.training.evaluate import contact_sheet, predict_all, score
-from sonarjax.segment.training.export import export_weights
 from sonarjax.segment.training.journal import Journal
 from sonarjax.segment.training.recipes import Recipe, find_recipe
 from sonarjax.segment.training.run import open_run, versions
 from sonarjax.segment.training.signals import StopWish
+from sonarjax.segment.weights import save_generator
 
 WEIGHTS = "weights.safetensors"
 FIRST_WEIGHTS, DROPOUT = 11, 12  # what is folded into the seed's key; pairs have 1 to 3
@@ -179,7 +179,7 @@ class _Run:
                 "metrics": self.metrics,
                 "step": self.step,
             }
-            export_weights(path, weights, about)
+            save_generator(path, weights, about)
         return path
 
 
