@@ -13,8 +13,8 @@ from sonarjax.render.segments import plane_line
 from sonarjax.render.slices import Slabs
 from sonarjax.sonar import Sonar
 
-GAUSS = 0.5 / 3**0.5  # the nodes of two-point Gauss-Legendre integration lie at the middle ± GAUSS × width
 USUAL_PIECES = 16  # of all the pieces that a slice might hold, about this many are seen
+NARROWEST = 0.05  # least spread of a cell [bins]: the sum along range keeps float32's digits
 DB_TO_NEPER = math.log(10.0) / 10.0
 
 
@@ -33,7 +33,7 @@ def object_energy(
     """Energy [rad/m²] per range bin of each slab, from the visible pieces' `ends`; `edges` (edge,) [m].
 
     Each piece is cut into cells, so that a slice has about `elevations` of them; a cell's energy is spread evenly
-    over the ranges it covers, widened by what its surface moves in range across the slab.
+    over the ranges it covers and what its surface moves in range across the slab.
     """
     pieces = ends.tau.shape[1] // 2
     cells = max(1, math.ceil(elevations / min(pieces, USUAL_PIECES)))
@@ -53,6 +53,8 @@ def object_energy(
     angle = jnp.diff(jnp.arctan(tau), axis=-1)
     energy = angle * strength((near + far) / 2, (cosine[..., 1:] + cosine[..., :-1]) / 2, sonar) / 2
     energy = jnp.where(ends.surface[:, :pieces, None] >= 0, energy, 0.0)
+    # Half of the energy in each half of the slab. A box's spread over elevation and one over azimuth make a box here
+    # whose variance is the sum of theirs; one as wide as both together would smear narrow echoes.
     centre, moved = (near + far) / 2, (slope[..., 1:] + slope[..., :-1]) / 8
     half = jnp.sqrt((far - near) ** 2 / 4 + moved**2 + 1e-14)
 
@@ -98,7 +100,7 @@ def _spread(energy: Array, near: Array, far: Array, edges: Float[Array, "edge"])
     """
     bins, step = len(edges) - 1, edges[1] - edges[0]
     start, stop = (near - edges[0]) / step, (far - edges[0]) / step
-    length = jnp.maximum(stop - start, 1e-3)
+    length = jnp.maximum(stop - start, NARROWEST)
     density = energy / length
     slab = jnp.arange(len(energy))[:, None]
     changes = jnp.zeros((len(energy), bins + 2))

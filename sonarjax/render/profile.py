@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from sonarjax.render.envelope import Pieces
+from sonarjax.render.envelope import TOUCH, Pieces
 from sonarjax.render.segments import (
     CROSSING,
     EDGE,
@@ -187,20 +187,30 @@ def all_ends(pieces: Pieces, segments: Segments, table: Int[Array, "slab candida
     upper = jnp.repeat(jnp.array([False, True]), piece.shape[1]) & jnp.ones((len(piece), 1), bool)
     piece, solid = jnp.tile(piece, 2), jnp.tile(solid, 2)
     ends = _ends(pieces, segments, table, piece, upper, solid, jnp.zeros_like(upper))
-    below = _goes_on(pieces, segments)
-    above = jnp.pad(below[:, 1:], ((0, 0), (0, 1)))
-    return ends._replace(kind=jnp.where(jnp.concatenate([below, above], axis=1), FIXED, ends.kind))
+    smooth = jnp.concatenate(_smooth_sides(pieces, segments), axis=1)
+    return ends._replace(kind=jnp.where(smooth, FIXED, ends.kind))
 
 
-def _goes_on(pieces: Pieces, segments: Segments) -> Bool[Array, "slab piece"]:
-    """Pieces that continue the surface of the one below: no step in range, and no sharper bend than a smooth body's."""
+def _smooth_sides(pieces: Pieces, segments: Segments) -> tuple[Bool[Array, "slab piece"], Bool[Array, "slab piece"]]:
+    """Whether each piece's surface goes on smoothly below it, and above: no step in range, no edge of the body.
+
+    Pieces between segments that touch are passed over: which of the two surfaces they show is chance.
+    """
+    count = pieces.winner.shape[1]
+    number = jnp.where(pieces.tau[..., 1] - pieces.tau[..., 0] > TOUCH, jnp.arange(count), -1)
+    before = _previous(jax.lax.cummax(number, axis=1) + 1) - 1  # -1 for none
+    after = jax.lax.cummin(jnp.where(number < 0, count, number), axis=1, reverse=True)
+    after = jnp.pad(after[:, 1:], ((0, 0), (0, 1)), constant_values=count)
     line = _of_candidate(segments.line, pieces.winner)
     start, end = (piece_range(line, pieces.tau[..., k]) for k in (0, 1))
-    before = jnp.pad(line[:, :-1], ((0, 0), (1, 0), (0, 0)))
-    length = jnp.sqrt((line**2).sum(-1) + 1e-24)  # (a, b) is the normal of the surface as cut by the slice
-    straight = (line * before).sum(-1) > SMOOTH_COSINE * length * jnp.sqrt((before**2).sum(-1) + 1e-24)
+    normal = line / jnp.sqrt((line**2).sum(-1, keepdims=True) + 1e-24)  # of the surface as cut by the slice
+    place = jnp.maximum(before, 0)
+    straight = (normal * jnp.take_along_axis(normal, place[..., None], axis=1)).sum(-1) > SMOOTH_COSINE
+    near = jnp.abs(jnp.take_along_axis(end, place, axis=1) - start) < GAP * start
     solid = pieces.winner >= 0
-    return solid & _previous(solid) & straight & (jnp.abs(_previous(end) - start) < GAP * start)
+    below = solid & (before >= 0) & jnp.take_along_axis(solid, place, axis=1) & straight & near
+    above = solid & (after < count) & jnp.take_along_axis(below, jnp.minimum(after, count - 1), axis=1)
+    return below, above
 
 
 class Scene(NamedTuple):
