@@ -1,9 +1,9 @@
 """How fast pix2pix trains and answers, beside the same networks and step in PyTorch.
 
 python -m experiments.bench_train [--smoke]: prints one table; `run` returns its numbers. Each side runs in processes of
-its own, in turn with the other and on all cores; of several rounds the fastest step counts, since other programs only
-ever slow one down. Where they never rest, --one-core gives each side one core and counts the processor's time that it
-takes. PyTorch is optional: without it ours is timed alone.
+its own, which keep their memory (see `segment.memory`), in turn with the other and on all cores; of several rounds the
+fastest step counts, since other programs only ever slow one down. Where they never rest, --one-core gives each side one
+core and counts the processor's time that it takes. PyTorch is optional: without it ours is timed alone.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from experiments.bench_render import parse
+from sonarjax.segment.memory import keep_memory
 
 PROJECT = Path(__file__).resolve().parent.parent
 WORK = ("training", "inference", "one patch")
@@ -178,6 +179,7 @@ def main(settings: Settings) -> None:
     if settings.side:
         if settings.one_core and hasattr(os, "sched_setaffinity"):  # before either library starts its threads
             os.sched_setaffinity(0, [max(os.sched_getaffinity(0))])
+        keep_memory()  # as training does; for both sides
         side = {"ours": time_ours, "torch": time_torch}[settings.side]
         print(json.dumps(side(settings.widths[0], settings)))
     else:
