@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -48,19 +49,20 @@ def problem(name: str, shape: tuple[int, ...], rng: np.random.Generator) -> tupl
 @pytest.mark.parametrize("shape", SHAPES)
 def test_layer_is_its_definition(name: str, backend: str, shape: tuple[int, ...], rng: np.random.Generator) -> None:
     x, kernel = problem(name, shape, rng)
-    found = FUNCTIONS[name](jnp.asarray(x, jnp.float32), jnp.asarray(kernel, jnp.float32), backend)
+    layer = jax.jit(FUNCTIONS[name], static_argnums=2)
+    found = layer(jnp.asarray(x, jnp.float32), jnp.asarray(kernel, jnp.float32), backend)
     np.testing.assert_allclose(found, looped(name, x, kernel), atol=1e-5)
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
-@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("shape", SHAPES[1:4])
 def test_backends_have_one_gradient(name: str, shape: tuple[int, ...], rng: np.random.Generator) -> None:
     x, kernel = (jnp.asarray(v, jnp.float32) for v in problem(name, shape, rng))
     cotangent = jnp.asarray(rng.normal(size=looped(name, x, kernel).shape), jnp.float32)
     gradients = []
     for backend in BACKENDS:
-        _, pull_back = jax.vjp(lambda a, b, how=backend: FUNCTIONS[name](a, b, how), x, kernel)
-        gradients.append(pull_back(cotangent))
+        layer = partial(FUNCTIONS[name], backend=backend)
+        gradients.append(jax.jit(lambda g, f=layer: jax.vjp(f, x, kernel)[1](g))(cotangent))
     for one, other in zip(*gradients, strict=True):
         assert float(jnp.abs(one).max()) > 0.1
         np.testing.assert_allclose(one, other, atol=1e-5 * float(jnp.abs(one).max()) + 1e-6)
@@ -79,9 +81,11 @@ def test_product_is_pytorchs_layer(name: str, rng: np.random.Generator) -> None:
     y = y.permute(0, 2, 3, 1)
     cotangent = rng.normal(size=y.shape).astype(np.float32)
     y.backward(torch.tensor(cotangent))
-    ours, pull_back = jax.vjp(lambda p, q: FUNCTIONS[name](p, q, "product"), jnp.asarray(x), jnp.asarray(kernel))
+    layer = partial(FUNCTIONS[name], backend="product")
+    ours = jax.jit(layer)(x, kernel)
+    slopes = jax.jit(lambda g: jax.vjp(layer, jnp.asarray(x), jnp.asarray(kernel))[1](g))(cotangent)
     np.testing.assert_allclose(ours, y.detach().numpy(), atol=1e-5)
-    for found, wanted in zip(pull_back(jnp.asarray(cotangent)), there, strict=True):
+    for found, wanted in zip(slopes, there, strict=True):
         np.testing.assert_allclose(found, wanted.grad.numpy(), atol=1e-5 * float(wanted.grad.abs().max()) + 1e-6)
 
 

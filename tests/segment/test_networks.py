@@ -103,7 +103,7 @@ def test_discriminator_looks_at_patches_of_46_pixels(image: jax.Array, key: jax.
     judge = Plain(2)
     params = draw_variables(judge, image, image, key=key)["params"]
     with nn.intercept_methods(lambda f, a, k, c: a[0] if isinstance(c.module, BatchNorm) else f(*a, **k)):
-        slope = jax.grad(lambda x: judge.apply({"params": params}, x, image)[0, 7, 7, 0])(image)
+        slope = jax.jit(jax.grad(lambda x: judge.apply({"params": params}, x, image)[0, 7, 7, 0]))(image)
     rows, columns = (np.flatnonzero(np.asarray(jnp.abs(slope[0, ..., 0]).max(axis))) for axis in (1, 0))
     assert (len(rows), len(columns)) == (46, 46)
 

@@ -139,8 +139,12 @@ def test_patches_and_their_labels(head: Any, rng: np.random.Generator) -> None:
     given = drawn(head=head)
     given = GeneratorWeights(jax.tree.map(lambda v: 3 * v, given.variables), given.module)
     images = jnp.asarray(rng.uniform(0, 1, (2, 128, 128)), jnp.float32)
-    grey, labels = segment_patch(given, images), label_patch(given, images)
-    output = np.asarray(jax.jit(given.module.apply)(given.variables, 2 * images[..., None] - 1))
+
+    @jax.jit  # together they are compiled once
+    def everything(w: GeneratorWeights) -> tuple[jax.Array, jax.Array, jax.Array]:
+        return segment_patch(w, images), label_patch(w, images), w.module.apply(w.variables, 2 * images[..., None] - 1)
+
+    grey, labels, output = map(np.asarray, everything(given))
     assert grey.shape == labels.shape == images.shape
     assert (float(grey.min()) >= 0, float(grey.max()) <= 1, float(grey.std()) > 0) == (True, True, True)
     if head == "tanh":
