@@ -12,6 +12,7 @@ from tqdm import tqdm
 
 import sonarjax as sj
 from experiments.frames import paper_frames, sonar_for
+from sonarjax.segment import SEGMENTERS
 
 VALIDATION_SEED = 1000
 
@@ -32,10 +33,12 @@ def main() -> None:
     settings = parser.parse_args()
     frames = paper_frames(VALIDATION_SEED, yaw_offset_deg=5.0, step_deg=settings.step_deg)
     mesh, sonars = sj.objects.target(), {tilt: sonar_for(tilt) for tilt in sorted({f.tilt_deg for f in frames})}
-    for name in ("none", "otsu"):
+    for name in SEGMENTERS:
         scores = {True: [], False: []}
         for frame in tqdm(frames, desc=name, unit="frame"):
-            result = sj.recognize(frame.image, mesh, sonars[frame.tilt_deg], segmenter=name, refine=False)
+            result = sj.recognize(
+                frame.image, mesh, sonars[frame.tilt_deg], segmenter=name, refine=False, threshold=0.0
+            )
             scores[frame.is_target].append(result.score)
         target, other = np.array(scores[True]), np.array(scores[False])
         cut = best_threshold(target, other)

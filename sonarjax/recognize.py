@@ -30,7 +30,7 @@ HYPOTHESES = 2
 REFINE_BOUNDS = (math.radians(10.0), 0.06, 0.06)  # a bin of yaw [rad], some pixels of x and y [m]
 REFINE_BLURS_PX = (2.0, 0.8)
 SAME_YAW = math.radians(8.0)  # refined hypotheses closer than this are one
-THRESHOLDS = {"none": 0.551, "otsu": 0.616}
+THRESHOLDS = {"none": 0.550, "otsu": 0.614, "otsu1": 0.492, "otsu3": 0.513, "median-otsu": 0.623}
 """Least score of an identified target, for each segmenter; validation frames of experiments/fit_threshold.py."""
 
 

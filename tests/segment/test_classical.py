@@ -7,6 +7,7 @@ import pytest
 from skimage.filters import threshold_multiotsu, threshold_otsu
 
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.recognize import THRESHOLDS
 from sonarjax.segment.classical import MEDIANS, SEGMENTERS, segment
 
 
@@ -50,3 +51,7 @@ def test_a_constant_frame_and_what_was_not_measured(name: str, rng: np.random.Ge
 def test_unknown_name() -> None:
     with pytest.raises(SonarjaxError, match="otsu3"):
         segment(np.zeros((4, 4), np.float32), "otsu2")
+
+
+def test_every_segmenter_has_a_threshold():
+    assert set(THRESHOLDS) == set(SEGMENTERS)

@@ -21,6 +21,7 @@ from jax.sharding import Mesh
 from tqdm import tqdm
 
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.segment.memory import keep_memory
 from sonarjax.segment.step import GanState, create_state
 from sonarjax.segment.training.batches import Batches, Stored, validation_set
 from sonarjax.segment.training.checkpoint import Checkpoints
@@ -68,6 +69,7 @@ def train(preset: str | Recipe, run_dir: str | os.PathLike[str], resume: bool = 
     the last checkpoint from before that is kept.
     """
     recipe = find_recipe(preset)
+    keep_memory()  # a third of a step would go into asking for its memory again
     join_processes()
     folder = Path(run_dir)
     open_run(recipe, folder, resume)
