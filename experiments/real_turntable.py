@@ -33,9 +33,9 @@ from sonarjax.io import write_text
 from sonarjax.match import between_bins
 from sonarjax.match.ncc import correlation_maps, prepare_bank
 from sonarjax.plot import draw_outline, plot_polar, save_figure
-from sonarjax.recognize import REFINE_BLURS_PX, REFINE_BOUNDS
+from sonarjax.recognize import REFINEMENT
 from sonarjax.render.bank import bank_place
-from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS, floor_point
+from sonarjax.render.region import floor_point
 from sonarjax.segment import segment, to_grey
 
 PROJECT = Path(__file__).resolve().parents[1]
@@ -46,9 +46,6 @@ BASELINES = {
 }
 """Median and 90th percentile [deg] of the plain method in the data's README."""
 AIM = (1.7, 4.5)
-AS_RECOGNIZE: dict[str, Any] = {
-    "sharpness": 0.0, "bounds": REFINE_BOUNDS, "blurs": REFINE_BLURS_PX, "margin": (MARGIN_BINS, MARGIN_BEAMS),
-}  # fmt: skip
 SEGMENTERS, SEARCHES = ("none", "otsu"), ("recognize", "tight crop", "fixed window")
 
 
@@ -205,7 +202,7 @@ def at_known_place(data: Data, settings: Settings, segmenter: str, search: str, 
         pose = sj.Pose(x, y, yaw)
         if settings.refine:
             refined = jax.tree.map(
-                float, sj.refine_yaw(grey, data.mesh, data.sonar, pose, mask=mask, **AS_RECOGNIZE).pose
+                float, sj.refine_yaw(grey, data.mesh, data.sonar, pose, mask=mask, **REFINEMENT).pose
             )
             pose = sj.Pose(refined.x, refined.y, refined.yaw)
             yaws["refined"].append(float(pose.yaw))

@@ -27,8 +27,14 @@ RANGE_STEP_M = 0.1  # templates 0.3 m off in distance lose 10 points of accuracy
 DECIMATION = 4  # range bins that are one in that search
 HYPOTHESES = 2
 # Refining starts at a match, so no blur has to widen the basin: a coarse one follows the uneven floor of a grey frame.
-REFINE_BOUNDS = (math.radians(10.0), 0.06, 0.06)  # a bin of yaw [rad], some pixels of x and y [m]
-REFINE_BLURS_PX = (2.0, 0.8)
+# What a threshold makes of speckle is no label image: a plain template (sharpness 0) does best for it.
+REFINEMENT: dict[str, Any] = {
+    "bounds": (math.radians(10.0), 0.06, 0.06),  # a bin of yaw [rad], some pixels of x and y [m]
+    "blurs": (2.0, 0.8),
+    "margin": (MARGIN_BINS, MARGIN_BEAMS),
+    "sharpness": 0.0,
+}
+"""How `recognize` calls `refine_yaw`."""
 SAME_YAW = math.radians(8.0)  # refined hypotheses closer than this are one
 THRESHOLDS = {"none": 0.550, "otsu": 0.614, "otsu1": 0.492, "otsu3": 0.513, "median-otsu": 0.623}
 """Least score of an identified target, for each segmenter; validation frames of experiments/fit_threshold.py."""
@@ -249,11 +255,7 @@ def recognize(
         between = [between_bins(scores, int(k)) for k in np.where(valid, np.asarray(found.yaw_bin), scores.argmax())]
         turned = starts + np.array(between) * (2 * math.pi / len(scores))
         pose = Pose(np.full(HYPOTHESES, x), np.full(HYPOTHESES, y), turned)
-        # What a threshold makes of speckle is no label image: on validation frames a plain template does best for it.
-        estimate = refine_yaw(
-            semantic, mesh, sonar, pose, mask=mask, sharpness=0.0,
-            bounds=REFINE_BOUNDS, blurs=REFINE_BLURS_PX, margin=(MARGIN_BINS, MARGIN_BEAMS),
-        )  # fmt: skip
+        estimate = refine_yaw(semantic, mesh, sonar, pose, mask=mask, **REFINEMENT)
         hypotheses = _hypotheses(*(np.asarray(v) for v in (estimate.yaw, estimate.score, estimate.yaw_std)))
         x, y = _place_of_best(estimate)
     limit = THRESHOLDS[segmenter] if threshold is None else float(threshold)

@@ -17,6 +17,7 @@ from sonarjax.scene import Mesh, Pose
 from sonarjax.sonar import Sonar
 
 SMALL = 1e-9
+ELEVATIONS = 64
 BEAMS_PER_BIN = 0.4  # a beam is about 2.5 bins wide at the ranges of §4.1: the blur is round on the floor
 ROW_STRIDE = 2  # every second row of a blurred image holds all of it
 
@@ -82,7 +83,7 @@ def draw_with_slope(
     """The window's semantic image at `step` from the start, and its derivatives by yaw, x and y (forward mode)."""
 
     def draw(step: Array) -> Array:
-        layers = render_window(mesh, pose_at(problem.start, step), sonar, problem.window, sub_beams, 64)
+        layers = render_window(mesh, pose_at(problem.start, step), sonar, problem.window, sub_beams, ELEVATIONS)
         return semantic_image(*(labelled(v, problem.sharpness) for v in (layers.highlight, layers.shadow)))
 
     return jax.vmap(lambda along: jax.jvp(draw, (step,), (along,)), out_axes=(None, 0))(jnp.eye(3))
@@ -107,7 +108,7 @@ def crop_score(
 
 
 def box_around(drawn: Float[Array, "range beam"], margin: tuple[int, int]) -> Bool[Array, "range beam"]:
-    """The box of what a template shows, with a `margin` (bins, beams) around it."""
+    """True (range, beam) in the box of what a template shows, with a `margin` (bins, beams) around it."""
     touched = jnp.abs(drawn - 0.5) > 0.01
     return _extent(touched.any(axis=1), margin[0])[:, None] & _extent(touched.any(axis=0), margin[1])
 

@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float
 
 from sonarjax._cores import SINGLE_CORE, on_all_cores
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.refine.objective import Problem, box_around, crop_score, normalised, pose_at
+from sonarjax.refine.objective import ELEVATIONS, Problem, box_around, crop_score, normalised, pose_at
 from sonarjax.refine.solver import Found, coarse_to_fine
 from sonarjax.render import Window, object_columns, place_window, semantic_window, window_shape
 from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS
@@ -26,7 +26,6 @@ BLURS_PX = (8.0, 2.0, 0.8)
 """Standard deviations of the blur in range bins, coarse to fine: the coarse ones widen the basin."""
 ITERATIONS = 4
 SUB_BEAMS = 1
-ELEVATIONS = 64
 SHARPNESS = 10.0
 SLACK_M = 0.06
 CONVERGED_SHARE = 0.05  # of the trust region: a step still to go that counts as none

@@ -28,11 +28,12 @@ from sonarjax.render.segments import (
     edge_point,
     plane_line,
 )
+from sonarjax.scene.mesh import CREASE_ANGLE
 
 EMPTY_TAU = 1e-7  # a piece narrower than this is nothing
 HORIZON = 1e-4  # least 1/planar range [1/m]: farther surfaces are put at 10 km
 MOST_ITEMS = 12
-SMOOTH_COSINE = math.cos(math.radians(20.0))  # a sharper bend is an edge of the body
+SMOOTH_COSINE = math.cos(CREASE_ANGLE)  # a sharper bend is an edge of the body
 GAP = 1e-4  # relative step in range that ends a run: ten times float32's error, far below any sonar's resolution
 
 
