@@ -1,6 +1,6 @@
 """Thresholds of eq. 5 from validation frames (another seed than the test's): the midpoint that errs least.
 
-Prints what stands in `sonarjax.recognize.THRESHOLDS`. Test frames play no part.
+Prints what stands in `sonarjax.recognize.THRESHOLDS` and `experiments.segmenters`. Test frames play no part.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 import sonarjax as sj
 from experiments.frames import paper_frames, sonar_for
-from sonarjax.segment import SEGMENTERS
+from experiments.segmenters import NAMES, map_maker
 
 VALIDATION_SEED = 1000
 
@@ -30,20 +30,23 @@ def main() -> None:
     """Command line of the experiment."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--step-deg", type=int, default=20, help="yaw step of the validation frames [deg]")
+    parser.add_argument("--segmenters", default=",".join(NAMES), help="which, separated by commas")
     settings = parser.parse_args()
     frames = paper_frames(VALIDATION_SEED, yaw_offset_deg=5.0, step_deg=settings.step_deg)
-    mesh, sonars = sj.objects.target(), {tilt: sonar_for(tilt) for tilt in sorted({f.tilt_deg for f in frames})}
-    for name in SEGMENTERS:
-        scores = {True: [], False: []}
+    mesh = sj.objects.target()
+    for name in settings.segmenters.split(","):
+        make_map = map_maker(name)
+        scores: dict[bool, list[float]] = {True: [], False: []}
         for frame in tqdm(frames, desc=name, unit="frame"):
+            sonar = sonar_for(frame.tilt_deg)
             result = sj.recognize(
-                frame.image, mesh, sonars[frame.tilt_deg], segmenter=name, refine=False, threshold=0.0
+                make_map(frame.image, None), mesh, sonar, segmenter="none", refine=False, threshold=0.0
             )
             scores[frame.is_target].append(result.score)
         target, other = np.array(scores[True]), np.array(scores[False])
         cut = best_threshold(target, other)
         print(f"{name}: threshold {cut:.3f}; targets {target.mean():.3f} (least {target.min():.3f}), "
-              f"non-targets {other.mean():.3f} (largest {other.max():.3f})")  # fmt: skip
+              f"non-targets {other.mean():.3f} (largest {other.max():.3f})", flush=True)  # fmt: skip
 
 
 if __name__ == "__main__":

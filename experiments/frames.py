@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache, partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 import sonarjax as sj
+from sonarjax._cores import SINGLE_CORE, side_by_side
+from sonarjax.sensor import SensorModel, observe_scene
 
 TILTS_DEG = (15.0, 20.0, 25.0)
 GROUND_RANGE_M = {15.0: 2.45, 20.0: 2.30, 25.0: 2.10}
@@ -33,46 +36,60 @@ class TestFrame:
     """Tilt of the sonar [deg]."""
 
 
+@cache
 def sonar_for(tilt_deg: float) -> sj.Sonar:
-    """DIDSON high frequency in the tank, at one tilt [deg]."""
+    """DIDSON high frequency in the tank, at one tilt [deg]: one object a tilt, whose banks `recognize` keeps."""
     return sj.Sonar.preset("didson-hf", tilt=math.radians(tilt_deg))
 
 
-def grey_frame(frame: sj.SonarFrame, sonar: sj.Sonar, *, key: jax.Array) -> jax.Array:
-    """A plain grey picture (range, beam) of the energy: spreading undone, Rayleigh speckle, square root, 8 bits.
-
-    A stand-in until the sensor model lands: no beam pattern, no crosstalk, no multipath.
-    """
-    ranges = (sonar.range_edges[1:] + sonar.range_edges[:-1])[:, None] / 2
-    level = frame.intensity * ranges**3
-    speckle = jax.random.exponential(key, level.shape)  # of the intensity: its square root is Rayleigh
-    floor = 0.02 * jnp.quantile(level, 0.99) * jax.random.exponential(jax.random.fold_in(key, 1), level.shape)
-    amplitude = jnp.sqrt(jnp.sqrt(level * speckle + floor))
-    return jnp.round(255 * jnp.clip(amplitude / jnp.quantile(amplitude, 0.999), 0, 1)) / 255
-
-
-def paper_frames(seed: int, *, yaw_offset_deg: float = 0.0, step_deg: int = 10) -> list[TestFrame]:
+def paper_frames(
+    seed: int,
+    *,
+    yaw_offset_deg: float = 0.0,
+    step_deg: int = 10,
+    severity: float = 1.0,
+    drawn: bool = False,
+    other: sj.Mesh | None = None,
+) -> list[TestFrame]:
     """Four sets (tilts 15, 20, 25° and one drawn of them) of target and non-target, yaw in steps of `step_deg`.
 
     With steps of 10° these are the 288 frames of §4.1. `yaw_offset_deg` adds a uniform offset within ± that to each.
+    The sensor is the nominal DIDSON at `severity`, or with `drawn` another device of the family for every frame.
+    `other` takes the non-target's place.
     """
     key = jax.random.key(seed)
-    drawn = TILTS_DEG[int(jax.random.randint(jax.random.fold_in(key, 10**6), (), 0, 3))]
-    frames = []
+    tilt_drawn = TILTS_DEG[int(jax.random.randint(jax.random.fold_in(key, 10**6), (), 0, 3))]
+    meshes = sj.objects.target(), sj.objects.non_target() if other is None else other
+    cases = [
+        (number, tilt, is_target, yaw_deg)
+        for number, tilt in enumerate((*TILTS_DEG, tilt_drawn))
+        for is_target in (True, False)
+        for yaw_deg in range(0, 360, step_deg)
+    ]
 
-    @jax.jit
-    def simulate(mesh: sj.Mesh, pose: sj.Pose, sonar: sj.Sonar, noise: jax.Array) -> tuple[jax.Array, jax.Array]:
-        frame = sj.render(mesh, pose, sonar, sub_beams=2)
-        return grey_frame(frame, sonar, key=noise), frame.semantic()
+    def simulate(case: tuple[int, float, bool, int]) -> TestFrame:
+        number, tilt, is_target, yaw_deg = case
+        part = jax.random.fold_in(key, (number * 2 + is_target) * 360 + yaw_deg)
+        offset = float(jax.random.uniform(part, (), minval=-1.0, maxval=1.0)) * math.radians(yaw_offset_deg)
+        yaw = math.radians(yaw_deg) + offset
+        pose = sj.Pose(*(jnp.float32(v) for v in (GROUND_RANGE_M[tilt], 0.0, yaw)))
+        model = _device(severity, drawn, key=jax.random.fold_in(part, 3))
+        mesh = meshes[0] if is_target else meshes[1]
+        image, clean = _observed(mesh, pose, sonar_for(tilt), model, key=jax.random.fold_in(part, 7))
+        return TestFrame(np.asarray(image), np.asarray(clean), is_target, yaw, tilt)
 
-    for number, tilt in enumerate((*TILTS_DEG, drawn)):
-        sonar = sonar_for(tilt)
-        for is_target, mesh in ((True, sj.objects.target()), (False, sj.objects.non_target())):
-            for yaw_deg in range(0, 360, step_deg):
-                part = jax.random.fold_in(key, (number * 2 + is_target) * 360 + yaw_deg)
-                offset = jax.random.uniform(part, (), minval=-1.0, maxval=1.0) * math.radians(yaw_offset_deg)
-                yaw = math.radians(yaw_deg) + float(offset)
-                pose = sj.Pose(x=jnp.float32(GROUND_RANGE_M[tilt]), y=jnp.float32(0.0), yaw=jnp.float32(yaw))
-                image, clean = simulate(mesh, pose, sonar, jax.random.fold_in(part, 7))
-                frames.append(TestFrame(np.asarray(image), np.asarray(clean), is_target, yaw, tilt))
-    return frames
+    for case in (cases[0], next(c for c in cases if not c[2])):
+        simulate(case)  # else each thread would compile it
+    return side_by_side(simulate, cases)
+
+
+def _device(severity: float, drawn: bool, *, key: jax.Array) -> SensorModel:
+    return SensorModel.draw(key=key, severity=severity) if drawn else SensorModel.nominal(severity)
+
+
+@partial(jax.jit, compiler_options=SINGLE_CORE)
+def _observed(
+    mesh: sj.Mesh, pose: sj.Pose, sonar: sj.Sonar, model: SensorModel, *, key: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    image, frame = observe_scene(mesh, pose, sonar, model, key=key)
+    return image, frame.semantic()

@@ -17,7 +17,7 @@ import time
 from collections.abc import Iterator, Sequence
 from typing import Any, NoReturn
 
-DEFAULT_SEGMENTER = "otsu"
+DEFAULT_SEGMENTER = "pix2pix"
 MAX_SUB_BEAMS = 64
 
 Lazy = Any  # a type of a module that is imported inside the function: the docstring names it
@@ -118,7 +118,7 @@ def _add_recognize(commands: Any) -> None:
     command.add_argument("--out", metavar="R.jsonl", required=True, help="one JSON object a frame is appended")
     command.add_argument(
         "--segmenter", metavar="NAME", default=DEFAULT_SEGMENTER,
-        help="otsu, or none to match the grey frame itself (default: %(default)s)",
+        help="pix2pix, otsu, or none to match the grey frame itself (default: %(default)s)",
     )  # fmt: skip
     command.add_argument("--no-refine", action="store_true", help="stop at the yaw bin of the template bank")
     command.add_argument(
@@ -249,7 +249,7 @@ def _recognize(args: argparse.Namespace) -> int:
     from sonarjax.sonar import Sonar
 
     if args.segmenter not in SEGMENTERS:
-        raise SonarjaxError(f"--segmenter: expected {' or '.join(SEGMENTERS)}, got {args.segmenter!r}")
+        raise SonarjaxError(f"--segmenter: expected {', '.join(SEGMENTERS)}, got {args.segmenter!r}")
     sonar, mesh = Sonar.from_toml(args.sonar), Mesh.load(args.target, args.unit_m)
     Recognizer(mesh, sonar)  # a sonar that sees no floor is refused before any frame is read
     code = 0

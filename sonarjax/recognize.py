@@ -17,7 +17,7 @@ from sonarjax.refine import YawEstimate, refine_yaw
 from sonarjax.render import TemplateBank, bank_place, floor_point, object_columns, template_bank, window_shape
 from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS
 from sonarjax.scene import Mesh, Pose
-from sonarjax.segment import check_segmenter, segment, to_grey
+from sonarjax.segment import DEFAULT_SEGMENTER, semantic_map
 from sonarjax.sonar import Sonar
 
 YAW_BINS = 36
@@ -228,7 +228,7 @@ def recognize(
     mesh: Mesh,
     sonar: Sonar,
     *,
-    segmenter: str = "otsu",
+    segmenter: str = DEFAULT_SEGMENTER,
     refine: bool = True,
     threshold: float | None = None,
     mask: Any = None,
@@ -241,8 +241,7 @@ def recognize(
     Raises SonarjaxError for an unknown segmenter, a shape that does not fit the sonar, or values that are not finite.
     """
     image, mask = _checked(image, mask, sonar)
-    check_segmenter(segmenter)
-    semantic = image if segmenter == "none" else to_grey(segment(image, segmenter, mask))
+    semantic = semantic_map(image, segmenter, mask)
     recognizer = _recognizer(mesh, sonar)
     match = recognizer.find(np.asarray(semantic, np.float32), mask)
     (x, y), bank, scores = recognizer.place(match), match.bank, match.scores

@@ -21,6 +21,8 @@ CROP_SHARES = (0.62, 0.13, 0.12, 0.13)
 """How often a crop holds object and shadow with a margin, loses its far part, lies anywhere, is the whole frame."""
 LEAST = (40, 12)
 """Least extent of a random crop (range, beam) [pixels]."""
+MARGIN, MARGIN_OF_FRAME = (0.05, 0.7), (0.0, 0.08)
+"""Least and largest margin on each side of the object, in extents of the object plus extents of the frame."""
 
 
 class Box(NamedTuple):
@@ -96,7 +98,9 @@ def _draw_span(touched: Bool[Array, "pixel"], least: int, kind: Array, stream: S
     """Start and length [pixels] along one axis, whose pixels that the object touches are given."""
     count = len(touched)
     first, stop = touched_span(touched)
-    before, after = ((stop - first) * stream.between(0.05, 0.7) + count * stream.between(0.0, 0.08) for _ in range(2))
+    before, after = (
+        (stop - first) * stream.between(*MARGIN) + count * stream.between(*MARGIN_OF_FRAME) for _ in range(2)
+    )
     around = jnp.maximum(first - before, 0.0)
     length = stream.between(0.35, 0.9) * count
     anywhere = stream.uniform() * (count - length)

@@ -43,7 +43,7 @@ class PairSettings:
     """Range bins of the frame that a pair is cut from."""
     n_beams: int = 64
     """Beams of that frame."""
-    severity: tuple[float, float] = (0.0, 1.7)
+    severity: tuple[float, float] = (0.0, 2.0)
     """Least and largest severity of the sensor model [1], drawn evenly."""
     sub_beams: int = 1
     """Azimuth parts of a beam, as in `render`."""

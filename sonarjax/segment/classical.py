@@ -9,26 +9,22 @@ from jaxtyping import Bool, Float, UInt8
 from skimage.filters import median as median_filter
 from skimage.filters import threshold_multiotsu, threshold_otsu
 
-from sonarjax.io.errors import SonarjaxError
-
-SEGMENTERS = ("none", "otsu", "otsu1", "otsu3", "median-otsu")
-"""Names that `segment` knows."""
+CLASSICAL = ("none", "otsu", "otsu1", "otsu3", "median-otsu")
+"""Names that `threshold_labels` knows."""
 MEDIANS = {"otsu": 3, "median-otsu": 5}
 """Side of the median filter before the thresholds [pixel]."""
 GREY = np.array([0.5, 1.0, 0.0], np.float32)
 """Grey value of each label: background, highlight, shadow."""
 
 
-def segment(
+def threshold_labels(
     image: Float[np.ndarray, "range beam"], name: str, mask: Bool[np.ndarray, "range beam"] | None = None
 ) -> UInt8[np.ndarray, "range beam"]:
     """Labels (range, beam) of a grey frame: 0 background, 1 highlight, 2 shadow; pixels outside `mask` are background.
 
     `otsu1` is Otsu's one threshold: highlight above it, no shadow. `otsu3` puts his two thresholds on the frame, `otsu`
     on its 3 × 3 median, `median-otsu` on its 5 × 5 median. `none` cuts the frame at 1/4 and 3/4.
-    Raises SonarjaxError for an unknown name.
     """
-    check_segmenter(name)
     image = np.asarray(image, np.float32)
     measured = np.ones(image.shape, bool) if mask is None else np.asarray(mask, bool)
     if name in MEDIANS:
@@ -36,12 +32,6 @@ def segment(
     low, high = _thresholds(image[measured], name)
     labels = np.where(image > high, 1, np.where(image <= low, 2, 0))
     return np.where(measured, labels, 0).astype(np.uint8)
-
-
-def check_segmenter(name: str) -> None:
-    """Raises SonarjaxError when there is no segmenter of that name."""
-    if name not in SEGMENTERS:
-        raise SonarjaxError(f"segmenter: expected one of {', '.join(SEGMENTERS)}, got {name!r}")
 
 
 def to_grey(labels: Any) -> Float[np.ndarray, "range beam"]:

@@ -76,7 +76,9 @@ def test_options_and_mask_reach_recognize(recognize, stand_in, place, tmp_path):
     )  # fmt: skip
     first, second, third = stand_in.calls
     assert first["mask"].shape == SHAPE
-    assert {**first, "mask": None} == second == {"segmenter": "otsu", "refine": True, "threshold": None, "mask": None}
+    assert (
+        {**first, "mask": None} == second == {"segmenter": "pix2pix", "refine": True, "threshold": None, "mask": None}
+    )
     assert third == {"segmenter": "none", "refine": False, "threshold": -0.25, "mask": None}
 
 
@@ -133,7 +135,7 @@ def test_an_interrupt_keeps_what_is_written(recognize, stand_in, place, tmp_path
         ("--out", "absent/r.jsonl", "cannot be opened"),
         ("--out", "/proc/r.jsonl", "cannot be opened"),
         ("--out", "/dev/full", "cannot be written"),
-        ("--segmenter", "unet", "none or otsu"),
+        ("--segmenter", "unet", "expected pix2pix, none"),
     ],
 )
 def test_what_stops_a_batch(complaint, stand_in, place, tmp_path, option, value, said):
@@ -158,7 +160,7 @@ def test_segment_writes_labels_by_stem(command, stand_in, place, tmp_path):
     with np.load(folder / "labels_a.npz") as labels:
         assert list(labels) == ["labels"]
         assert (labels["labels"].shape, labels["labels"].dtype) == (SHAPE, np.uint8)
-    assert set(stand_in.calls) == {"otsu"}
+    assert set(stand_in.calls) == {"pix2pix"}
 
 
 def test_segment_goes_on_after_an_unreadable_frame(command, stand_in, bad, place, tmp_path):

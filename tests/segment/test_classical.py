@@ -8,7 +8,8 @@ from skimage.filters import threshold_multiotsu, threshold_otsu
 
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.recognize import THRESHOLDS
-from sonarjax.segment.classical import MEDIANS, SEGMENTERS, segment
+from sonarjax.segment import SEGMENTERS, segment
+from sonarjax.segment.classical import CLASSICAL, MEDIANS
 
 
 def scene(rng: np.random.Generator, noise: float) -> tuple[np.ndarray, np.ndarray]:
@@ -39,7 +40,7 @@ def test_thresholds_are_otsus(rng: np.random.Generator) -> None:
     np.testing.assert_array_equal(segment(image, "otsu3"), np.where(image > high, 1, np.where(image <= low, 2, 0)))
 
 
-@pytest.mark.parametrize("name", SEGMENTERS)
+@pytest.mark.parametrize("name", CLASSICAL)
 def test_a_constant_frame_and_what_was_not_measured(name: str, rng: np.random.Generator) -> None:
     assert not segment(np.full((8, 8), 0.5, np.float32), name).any()
     image, _ = scene(rng, 0.1)

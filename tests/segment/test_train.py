@@ -113,7 +113,7 @@ def cheap_pairs(monkeypatch):
 
 
 def test_batch_depends_on_its_number_only(cheap_pairs):
-    recipe = Recipe(batch=4, pairs=20, passes=2, sets=3)
+    recipe = Recipe(batch=4, pairs=20, passes=2, sets=3, plain=0.0)
     with Batches(recipe) as in_order:
         all_of_them = [in_order.batch(step).image[:, 0, 0].tolist() for step in range(recipe.steps)]
     with Batches(recipe) as late:
@@ -126,9 +126,26 @@ def test_batch_depends_on_its_number_only(cheap_pairs):
     assert all_of_them[0:5] != all_of_them[5:10]
 
 
+@pytest.mark.parametrize(("mirrored", "plain"), [(1.0, 0.0), (0.0, 1.0), (1.0, 1.0)])
+def test_mirrored_and_plain_pairs(folder, mirrored, plain):
+    recipe = tiny_recipe(folder)
+    with Batches(replace(recipe, mirrored=0.0, plain=0.0)) as as_made:
+        image, labels = as_made.batch(1)
+    with Batches(replace(recipe, mirrored=mirrored, plain=plain)) as changed:
+        other, other_labels = changed.batch(1)
+    if mirrored:
+        image, labels = image[:, :, ::-1], labels[:, :, ::-1]
+    np.testing.assert_array_equal(other_labels, labels)
+    np.testing.assert_array_equal(other, np.array([128, 255, 0])[labels] if plain else image)
+    with Batches(replace(recipe, mirrored=0.5, plain=0.0)) as mixed:
+        some = mixed.batch(1).image
+    kept = [any((one == each).all() for each in (here, here[:, ::-1])) for one, here in zip(some, image, strict=True)]
+    assert all(kept)
+
+
 def test_pairs_of_validation_are_no_pairs_of_training(folder, cheap_pairs):
     shown = validation_set(tiny_recipe(folder)).image
-    with Batches(tiny_recipe(folder)) as from_folder:
+    with Batches(tiny_recipe(folder, mirrored=0.0, plain=0.0)) as from_folder:
         trained = np.concatenate([from_folder.batch(step).image for step in range(4)])
     assert not any((trained == image).all(axis=(1, 2)).any() for image in shown)
 

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from sonarjax.data import Pairs, import_pairs, make_pairs, split_key
+from sonarjax.data.folder import STORED
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.segment.training.recipes import Recipe
 
@@ -46,8 +47,10 @@ class Batches:
         recipe = self._recipe
         epoch, inside = divmod(step, recipe.epoch_steps)
         pairs = self._set(epoch // recipe.passes)
-        rows = _order(recipe, epoch)[inside * recipe.batch : (inside + 1) * recipe.batch]
-        return Stored(pairs.image[rows], pairs.labels[rows])
+        part = slice(inside * recipe.batch, (inside + 1) * recipe.batch)
+        rows, mirrored, plain = (values[part] for values in _order(recipe, epoch))
+        image, labels = (_chosen(mirrored, layer[rows, :, ::-1], layer[rows]) for layer in pairs)
+        return Stored(_chosen(plain, STORED[labels], image), labels)
 
     def _set(self, number: int) -> Stored:
         for wanted in (number, number + 1):
@@ -68,9 +71,16 @@ class Batches:
 
 
 @lru_cache(2)
-def _order(recipe: Recipe, epoch: int) -> np.ndarray:
-    """The order of a set's pairs in one epoch, from the seed and the epoch alone."""
-    return np.random.Generator(np.random.Philox(key=[recipe.run_seed, epoch])).permutation(recipe.pairs)
+def _order(recipe: Recipe, epoch: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A set's pairs in one epoch, from the seed and the epoch alone: their order, which are mirrored, which plain."""
+    rng = np.random.Generator(np.random.Philox(key=[recipe.run_seed, epoch]))
+    mirrored, plain = (rng.random(recipe.pairs) < share for share in (recipe.mirrored, recipe.plain))
+    return rng.permutation(recipe.pairs), mirrored, plain
+
+
+def _chosen(which: np.ndarray, images: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Of two stacks of images (pair, range, beam) the first where `which` (pair,), else the second."""
+    return np.where(which[:, None, None], images, others)
 
 
 def _make_set(recipe: Recipe, number: int, over: threading.Event) -> Stored:

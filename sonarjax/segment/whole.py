@@ -1,0 +1,114 @@
+"""A whole frame through a generator that was trained on patches: tiles first, then a closer look at each object.
+
+Tiles have the size of the frames that training pairs are cut from, so a pixel means there what it meant in training. A
+closer look is a crop around what the tiles show, the main kind of training crop (see `data.crops.CROP_SHARES`).
+"""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+from skimage.measure import label as connected_parts
+from skimage.measure import regionprops
+from skimage.morphology import closing
+
+from sonarjax.data import PATCH, Box, PairSettings, cut_box, paste_patch
+from sonarjax.data.crops import LEAST, MARGIN, MARGIN_OF_FRAME
+from sonarjax.segment.weights import GeneratorWeights, segment_patch
+
+TILE = (PairSettings.n_ranges, PairSettings.n_beams)
+"""Largest extent of a tile (range, beam) [pixels]."""
+CLOSER = 3
+"""Objects that are looked at closely, at most."""
+LEAST_SHARE = 0.2
+"""Least evidence of an object that is looked at closely, relative to that of the clearest."""
+
+
+def segment_frame(
+    weights: GeneratorWeights,
+    image: Float[np.ndarray, "range beam"],
+    mask: Bool[np.ndarray, "range beam"] | None = None,
+    *,
+    closer: bool = True,
+) -> Float[np.ndarray, "range beam"]:
+    """Semantic grey (range, beam) of a frame (range, beam) in [0, 1]: shadow 0, background 0.5, highlight 1.
+
+    Pixels outside `mask` are background, and dark to the network, as floor that is not lit is. `closer` False stops
+    after the tiles.
+    """
+    image = np.asarray(image if mask is None else np.where(mask, image, 0.0), np.float32)
+    grey = np.array(_through_boxes(weights, image, _tiles(image.shape)))
+    if mask is not None:
+        grey = np.where(mask, grey, np.float32(0.5))
+    for box in _objects(grey) if closer else []:
+        looked = np.asarray(_through_box(weights, image, Box(*(jnp.float32(v) for v in box))))
+        inside = pixels_inside(box)
+        grey[inside] = looked[inside]
+    return grey if mask is None else np.where(mask, grey, np.float32(0.5))
+
+
+def _tiles(shape: tuple[int, ...]) -> tuple[Box, ...]:
+    """Boxes that cover a frame, neighbours half over one another."""
+    starts = []
+    for size, tile in zip(shape, TILE, strict=True):
+        count = max(-(-2 * (size - tile) // tile), 0) + 1
+        starts.append(np.linspace(0.0, max(size - tile, 0), count))
+    rows, columns = (float(min(size, tile)) for size, tile in zip(shape, TILE, strict=True))
+    return tuple(Box(float(top), float(left), rows, columns) for top in starts[0] for left in starts[1])
+
+
+@partial(jax.jit, static_argnames="boxes")
+def _through_boxes(
+    weights: GeneratorWeights, image: Float[Array, "range beam"], boxes: tuple[Box, ...]
+) -> Float[Array, "range beam"]:
+    """The maps of all boxes, blended: each counts most in its middle."""
+    patches = segment_patch(weights, jnp.stack([cut_box(image, box) for box in boxes]))
+    ramps = [np.minimum(np.arange(n) + 0.5, n - np.arange(n) - 0.5) / n for n in PATCH]
+    weight = jnp.asarray(ramps[0][:, None] * ramps[1], jnp.float32)
+    shape = image.shape[0], image.shape[1]
+    shares = jnp.stack([paste_patch(weight, box, shape, 0.0) for box in boxes])
+    pasted = jnp.stack([paste_patch(patch, box, shape) for patch, box in zip(patches, boxes, strict=True)])
+    return (shares * pasted).sum(0) / shares.sum(0)
+
+
+@jax.jit
+def _through_box(weights: GeneratorWeights, image: Float[Array, "range beam"], box: Box) -> Float[Array, "range beam"]:
+    shape = image.shape[0], image.shape[1]
+    return paste_patch(segment_patch(weights, cut_box(image, box)[None])[0], box, shape)
+
+
+def _objects(grey: Float[np.ndarray, "range beam"]) -> list[Box]:
+    """Boxes around what is highlight or shadow, the clearest object last."""
+    evidence = np.abs(grey - 0.5)
+    parts = connected_parts(closing(evidence > 0.25, np.ones((9, 3), bool)))
+    found = sorted(regionprops(parts, evidence), key=lambda part: part.image_intensity.sum())[-CLOSER:]
+    return [
+        box_around(part.bbox, grey.shape)
+        for part in found
+        if part.image_intensity.sum() >= LEAST_SHARE * found[-1].image_intensity.sum()
+    ]
+
+
+def box_around(bounds: tuple[int, ...], shape: tuple[int, ...]) -> Box:
+    """A box around pixels (top, left, bottom, right) with the mean margins of training's crops, inside a frame."""
+    starts, sizes = [], []
+    for axis, (size, least) in enumerate(zip(shape, LEAST, strict=True)):
+        low, high = bounds[axis], bounds[axis + 2]
+        usual = np.mean(MARGIN) * (high - low) + np.mean(MARGIN_OF_FRAME) * size
+        margin = max(float(usual), (least - (high - low)) / 2)
+        first, last = max(low - margin, 0.0), min(high + margin, float(size))
+        starts.append(first)
+        sizes.append(last - first)
+    return Box(starts[0], starts[1], sizes[0], sizes[1])
+
+
+def pixels_inside(box: Box) -> tuple[slice, slice]:
+    """Rows and columns of the pixels that lie wholly inside a box."""
+    edges = ((box.top, box.top + box.rows), (box.left, box.left + box.columns))
+    rows, columns = (slice(math.ceil(low), math.floor(high)) for low, high in edges)
+    return rows, columns

@@ -1,0 +1,68 @@
+"""The shipped network on frames of an object that it was never trained on."""
+
+from __future__ import annotations
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import sonarjax as sj
+from sonarjax.segment import segment
+from sonarjax.segment.metrics import confusion, iou
+from sonarjax.segment.weights import describe_weights, shipped_path
+from sonarjax.sensor import SensorModel, observe_scene
+
+YAW = math.radians(40.0)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """Sonar, image (range, beam) at severity 1 and the clean frame of the target."""
+    sonar = sj.Sonar.preset("didson-hf", tilt=math.radians(20))
+    pose = sj.Pose(x=2.3, y=0.05, yaw=YAW)
+    image, frame = observe_scene(sj.objects.target(), pose, sonar, SensorModel.nominal(), key=jax.random.key(1))
+    return sonar, np.asarray(image), frame
+
+
+def shares(labels: np.ndarray, truth: np.ndarray) -> float:
+    """Mean intersection over union of highlight and shadow."""
+    return float(iou(confusion(jnp.asarray(labels), jnp.asarray(truth)))[1:].mean())
+
+
+def test_the_file_says_how_it_was_made_and_is_small():
+    about = describe_weights(shipped_path())
+    assert about["recipe"]["name"] == "cpu" and about["versions"]["jax"]
+    assert {"iou_mean", "psnr_gain_db"} <= set(about["metrics"]) and "run_seed" in about["recipe"]
+    assert shipped_path().stat().st_size <= 15e6
+
+
+def test_a_noisy_frame_is_segmented_far_better_than_by_a_threshold(scene):
+    _, image, frame = scene
+    truth = np.asarray(frame.labels())
+    network, otsu = (shares(segment(image, name), truth) for name in ("pix2pix", "otsu"))
+    assert network > 0.6 and network > otsu + 0.3
+
+
+def test_a_rendered_map_passes_nearly_unchanged(scene):
+    """What `sonarjax render` writes is recognized by the default segmenter too."""
+    _, _, frame = scene
+    assert shares(segment(np.asarray(frame.semantic()), "pix2pix"), np.asarray(frame.labels())) > 0.85
+
+
+def test_the_default_recognizes_target_and_yaw(scene):
+    sonar, image, _ = scene
+    result = sj.recognize(image, sj.objects.target(), sonar)
+    assert result.segmenter == "pix2pix" and result.identified
+    assert abs(math.degrees(math.remainder(result.yaw - YAW, 2 * math.pi))) < 3.0
+    assert math.hypot(result.x - 2.3, result.y - 0.05) < 0.03
+
+
+def test_nothing_is_found_in_an_empty_tank(scene):
+    sonar, _, _ = scene
+    far = sj.Pose(x=50.0, y=0.0, yaw=0.0)
+    image, _ = observe_scene(sj.objects.target(), far, sonar, SensorModel.nominal(), key=jax.random.key(2))
+    assert (segment(np.asarray(image), "pix2pix") > 0).mean() < 0.01
+    assert not sj.recognize(np.asarray(image), sj.objects.target(), sonar, refine=False).identified

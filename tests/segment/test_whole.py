@@ -1,0 +1,87 @@
+"""Frames through tiles and closer looks, with a network that hands on what it is given; the shipped one elsewhere."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sonarjax.data import Box
+from sonarjax.segment import whole
+from sonarjax.segment.whole import box_around, pixels_inside, segment_frame
+
+
+@pytest.fixture
+def handing_on(monkeypatch):
+    """A network whose answer is its image; counts the patches of each call."""
+    calls = []
+
+    def through(weights, images):
+        calls.append(len(images))
+        return images
+
+    monkeypatch.setattr(whole, "segment_patch", through)
+    for name in ("_through_boxes", "_through_box"):  # without jit, or another test's network stays compiled in
+        monkeypatch.setattr(whole, name, getattr(whole, name).__wrapped__)
+    return calls
+
+
+def scene(shape=(512, 96)) -> np.ndarray:
+    """A highlight in front of its shadow on background, all smooth: what survives resampling."""
+    row, column = np.arange(shape[0])[:, None], np.arange(shape[1])
+
+    def bump(center, width):
+        return np.exp(-(((row - center[0]) / width[0]) ** 2) - ((column - center[1]) / width[1]) ** 2)
+
+    near, beam = 0.4 * shape[0], 0.5 * shape[1]
+    grey = 0.5 + 0.5 * bump((near, beam), (12, 5)) - 0.5 * bump((near + 40, beam), (20, 5))
+    return grey.astype(np.float32)
+
+
+@pytest.mark.parametrize(("shape", "tiles"), [((512, 96), 6), ((256, 64), 1), ((100, 40), 1), ((700, 130), 25)])
+def test_tiles_put_a_frame_together_again(handing_on, shape, tiles):
+    image = scene(shape)
+    np.testing.assert_allclose(segment_frame(None, image, closer=False), image, atol=0.03)
+    assert handing_on == [tiles]
+
+
+def test_a_closer_look_is_at_the_object(handing_on):
+    image = scene()
+    grey = segment_frame(None, image)
+    np.testing.assert_allclose(grey, image, atol=0.03)
+    assert handing_on == [6, 1]
+    (box,) = whole._objects(image)
+    rows, columns = pixels_inside(box)
+    seen = np.abs(image - 0.5) > 0.05
+    assert seen[rows, columns].sum() == seen.sum()
+    assert box.rows < 0.5 * image.shape[0] and box.columns < 0.7 * image.shape[1]
+
+
+def test_two_objects_and_an_empty_frame(handing_on):
+    image = np.full((512, 96), 0.5, np.float32)
+    assert whole._objects(image) == []
+    image[100:120, 10:20] = image[350:370, 60:75] = 1.0
+    image[250:252, 40:41] = 1.0  # too little to be an object
+    assert len(whole._objects(image)) == 2
+    segment_frame(None, image)
+    assert handing_on == [6, 1, 1]
+
+
+def test_what_was_not_measured_is_dark_to_the_network_and_background_after_it(handing_on):
+    image, mask = scene(), np.ones((512, 96), bool)
+    mask[:, :20] = False
+    image[:, :20] = np.nan
+    grey = segment_frame(None, image, mask)
+    assert (grey[:, :20] == 0.5).all()
+    np.testing.assert_allclose(grey[:, 24:], image[:, 24:], atol=0.05)
+
+
+def test_box_around_stays_in_the_frame_and_is_never_thin():
+    box = box_around((0, 90, 2, 96), (512, 96))
+    assert box.top == 0 and box.left + box.columns == 96
+    assert box.rows >= 20 and box.columns >= 6
+    middle = box_around((200, 40, 201, 41), (512, 96))
+    assert middle.rows >= whole.LEAST[0] and middle.columns >= whole.LEAST[1]
+
+
+def test_pixels_inside_are_whole():
+    assert pixels_inside(Box(1.2, 3.0, 4.0, 2.0)) == (slice(2, 5), slice(3, 5))
