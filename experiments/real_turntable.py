@@ -36,7 +36,7 @@ from sonarjax.plot import draw_outline, plot_polar, save_figure
 from sonarjax.recognize import REFINEMENT
 from sonarjax.render.bank import bank_place
 from sonarjax.render.region import floor_point
-from sonarjax.segment import segment, to_grey
+from sonarjax.segment import semantic_map
 
 PROJECT = Path(__file__).resolve().parents[1]
 TIGHT_MARGIN, WIDE_MARGIN = (2, 1), (40, 8)  # (bins, beams) around the union of all views of a bank
@@ -46,7 +46,7 @@ BASELINES = {
 }
 """Median and 90th percentile [deg] of the plain method in the data's README."""
 AIM = (1.7, 4.5)
-SEGMENTERS, SEARCHES = ("none", "otsu"), ("recognize", "tight crop", "fixed window")
+SEGMENTERS, SEARCHES = ("none", "otsu", "pix2pix"), ("recognize", "tight crop", "fixed window")
 
 
 def _option(default: Any, text: str) -> Any:
@@ -69,7 +69,7 @@ class Settings:
     reach: float = _option(
         0.08, "largest distance of the object from the platform's centre [m]: a 0.24 m pipe on 0.4 m"
     )
-    segmenters: str = _option("none,otsu", "segmenters to run, separated by commas")
+    segmenters: str = _option("none,otsu,pix2pix", "segmenters to run, separated by commas")
     searches: str = _option("recognize,tight crop,fixed window", "searches to run, separated by commas")
     refine: bool = _option(True, "refine the yaw, most of the time on a CPU")
     sheet: int = _option(40, "frames on the contact sheet, evenly spread; 0 for none")
@@ -98,7 +98,7 @@ class Found:
     """What one segmenter and one search made of every frame."""
 
     segmenter: str
-    """`none` or `otsu`."""
+    """`none`, `otsu` or `pix2pix`."""
     search: str
     """`recognize`, or which bank at the known place."""
     yaws: dict[str, list[float]]
@@ -145,7 +145,7 @@ def _on_platform(sonar: sj.Sonar, settings: Settings) -> np.ndarray:
 def matched_image(image: np.ndarray, mask: np.ndarray, segmenter: str, width: int) -> np.ndarray:
     """The grey image (range, beam) that is matched: the median of the raw frame, or its segmentation."""
     if segmenter != "none":
-        return to_grey(segment(image, segmenter, mask))
+        return semantic_map(image, segmenter, mask)
     smooth = median_filter(image, np.ones((width, width))) if width > 1 else image
     return np.where(mask, smooth, 0.5).astype(np.float32)
 
@@ -156,7 +156,7 @@ def by_recognize(data: Data, settings: Settings, segmenter: str) -> Found:
     found = Found(segmenter, "recognize", yaws, [], [], [])
     for image, mask in tqdm(list(zip(data.images, data.masks, strict=True)), desc=f"recognize, {segmenter}"):
         start = time.perf_counter()
-        if segmenter == "none":  # otsu has its own median
+        if segmenter == "none":  # otsu has its own median, the network needs none
             image = matched_image(image, mask, segmenter, settings.median)
         result = sj.recognize(
             image, data.mesh, data.sonar, segmenter=segmenter, mask=mask, refine=settings.refine, threshold=-1.0
@@ -266,6 +266,8 @@ def run(settings: Settings) -> dict[str, Any]:
                 path = out / f"sheet_{search.replace(' ', '_')}_{segmenter}.png"
                 _draw_sheet(path, data, settings, found)
                 report.setdefault("sheets", []).append(str(path))
+    if settings.sheet > 0 and "pix2pix" in settings.segmenters.split(","):
+        report["sheets"].append(str(_draw_maps(out / "maps_pix2pix.png", data, settings)))
     write_text(out / "table.txt", table(report) + "\n")
     write_text(out / "results.json", json.dumps(report, indent=1))
     return report
@@ -366,6 +368,28 @@ def _draw_sheet(path: Path, data: Data, settings: Settings, found: Found) -> Non
         fontsize=9,
     )
     save_figure(figure, path, dpi=110)
+
+
+def _draw_maps(path: Path, data: Data, settings: Settings) -> Path:
+    """Contact sheet: raw frames in polar view, and under each what the network makes of it."""
+    from matplotlib.figure import Figure
+
+    chosen = [round(k) for k in np.linspace(0, len(data.names) - 1, min(settings.sheet, 20, len(data.names)))]
+    columns = min(10, len(chosen))
+    rows = 2 * -(-len(chosen) // columns)
+    figure = Figure(figsize=(2.0 * columns, 2.3 * rows + 0.5), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False)
+    for ax in axes.ravel():
+        ax.set_axis_off()
+    for place, k in enumerate(chosen):
+        image, mask = data.images[k], data.masks[k]
+        above, below = (axes[2 * (place // columns) + part, place % columns] for part in (0, 1))
+        plot_polar(above, image, data.sonar, vmin=0, vmax=float(np.percentile(image[mask], 99.5)))
+        plot_polar(below, semantic_map(image, "pix2pix", mask), data.sonar, vmin=0, vmax=1)
+        above.set_title(data.names[k], fontsize=8)
+    figure.suptitle("real frames, and under each the map that pix2pix makes of it: highlight white, shadow black")
+    save_figure(figure, path, dpi=110)
+    return path
 
 
 def parse(arguments: list[str] | None = None) -> Settings:

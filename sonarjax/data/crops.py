@@ -17,11 +17,11 @@ PATCH = (128, 128)
 """Shape (range, beam) of a patch [pixels]."""
 
 
-CROP_SHARES = (0.62, 0.13, 0.12, 0.13)
+CROP_SHARES = (0.7, 0.1, 0.08, 0.12)
 """How often a crop holds object and shadow with a margin, loses its far part, lies anywhere, is the whole frame."""
 LEAST = (40, 12)
 """Least extent of a random crop (range, beam) [pixels]."""
-MARGIN, MARGIN_OF_FRAME = (0.05, 0.7), (0.0, 0.08)
+MARGIN, MARGIN_OF_FRAME = (0.0, 0.6), (0.0, 0.06)
 """Least and largest margin on each side of the object, in extents of the object plus extents of the frame."""
 
 
