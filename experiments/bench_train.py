@@ -3,7 +3,8 @@
 python -m experiments.bench_train [--smoke]: prints one table; `run` returns its numbers. Each side runs in processes of
 its own, which keep their memory (see `segment.memory`), in turn with the other and on all cores; of several rounds the
 fastest step counts, since other programs only ever slow one down. Where they never rest, --one-core gives each side one
-core and counts the processor's time that it takes. PyTorch is optional: without it ours is timed alone.
+core and counts the processor's time that it takes. PyTorch is optional: without it ours is timed alone. The last line
+says how fast training pairs are made.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from sonarjax.segment.memory import keep_memory
 
 PROJECT = Path(__file__).resolve().parent.parent
 WORK = ("training", "inference", "one patch")
+PAIRS = 128
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,7 @@ class Settings:
     one_core: bool = False
     """Processor time on one core instead of the clock on all: for a machine that others use too."""
     side: str = ""
-    """For the processes that this one starts: `ours` or `torch`."""
+    """For the processes that this one starts: `ours`, `torch` or `pairs`."""
     smoke: bool = False
     """A run of seconds: width 4, one round of two steps."""
 
@@ -117,6 +119,18 @@ def time_torch(width: int, settings: Settings) -> list[float]:
     return [min(pair) for pair in zip(*found, strict=True)]
 
 
+def time_pairs(_: int, settings: Settings) -> list[float]:
+    """Seconds of one training pair, made among `PAIRS` at once."""
+    import jax
+
+    from sonarjax._cache import enable_compilation_cache
+    from sonarjax.data import make_pairs, split_key
+
+    enable_compilation_cache()  # they take minutes to compile
+    key = split_key(0, "train")
+    return [fastest(lambda: jax.block_until_ready(make_pairs(PAIRS, key=key)), 2, settings.one_core) / PAIRS]
+
+
 def in_process(side: str, width: int, settings: Settings) -> list[float]:
     """The three times of one side, measured by a fresh process that has the cores to itself."""
     command = [sys.executable, "-m", "experiments.bench_train", "--side", side, "--widths", str(width)]
@@ -144,7 +158,8 @@ def run(settings: Settings) -> dict[str, Any]:
             seconds = {side: best[side][k] for side in sides}
             rows.append({"width": width, "work": work, "seconds": seconds, "images": _images(seconds, work, settings)})
     used = 1 if settings.one_core else cores()
-    return {"rows": rows, "batch": settings.batch, "load": (load, os.getloadavg()[0]), "cores": used}
+    pairs = 0.0 if settings.smoke else 1 / in_process("pairs", 0, settings)[0]
+    return {"rows": rows, "pairs": pairs, "batch": settings.batch, "load": (load, os.getloadavg()[0]), "cores": used}
 
 
 def _images(seconds: dict[str, float], work: str, settings: Settings) -> dict[str, float]:
@@ -171,6 +186,7 @@ def table(report: dict[str, Any]) -> str:
             f"{row['width']:>5} {row['work']:<10} {1e3 * seconds['ours']:>10.2f} {images['ours']:>9.1f}"
             f" {1e3 * there[0]:>11.2f} {there[1]:>9.1f} {ratio(row):>6.2f}"
         )
+    lines.append(f"training pairs: {report['pairs']:.0f} made a second")
     return "\n".join(lines)
 
 
@@ -180,7 +196,7 @@ def main(settings: Settings) -> None:
         if settings.one_core and hasattr(os, "sched_setaffinity"):  # before either library starts its threads
             os.sched_setaffinity(0, [max(os.sched_getaffinity(0))])
         keep_memory()  # as training does; for both sides
-        side = {"ours": time_ours, "torch": time_torch}[settings.side]
+        side = {"ours": time_ours, "torch": time_torch, "pairs": time_pairs}[settings.side]
         print(json.dumps(side(settings.widths[0], settings)))
     else:
         print(table(run(settings)))

@@ -21,7 +21,7 @@ from tqdm import tqdm
 import sonarjax as sj
 from experiments.bench_render import parse
 from experiments.frames import TestFrame, paper_frames, sonar_for
-from experiments.segmenters import DISCRIMINATIVE, DISCRIMINATIVE_WEIGHTS, NAMES, map_maker, threshold_of
+from experiments.segmenters import DISCRIMINATIVE, DISCRIMINATIVE_WEIGHTS, NAMES, map_of, threshold_of
 from sonarjax.data import Box, cut_box
 from sonarjax.io import write_text
 from sonarjax.segment.metrics import confusion, iou, psnr
@@ -58,8 +58,8 @@ class Settings:
     """Root seed of the frames."""
     step_deg: int = 10
     """Yaw step of each set [deg]; 10 gives the 288 frames of §4.1."""
-    segmenters: str = ",".join(NAMES)
-    """Segmenters to compare, separated by commas."""
+    segmenters: str = "; ".join(NAMES)
+    """Segmenters to compare, separated by semicolons; `truth` is the true map, what no segmenter can pass."""
     sets: str = ",".join(SETS)
     """Sets of frames, separated by commas."""
     out: str = "runs/evaluate_segmenters"
@@ -94,7 +94,7 @@ def frames_of(name: str, settings: Settings) -> list[TestFrame]:
 def judge(frame: TestFrame, name: str, refine: bool) -> Judged:
     """Segment, recognize and compare with the truth."""
     sonar = sonar_for(frame.tilt_deg)
-    semantic = np.asarray(map_maker(name)(frame.image, None), np.float32)
+    semantic = map_of(name, frame)
     # Yaw is judged on the target alone, so only its frames are refined.
     result = sj.recognize(
         semantic, _target(), sonar, segmenter="none", threshold=threshold_of(name), refine=refine and frame.is_target
@@ -173,12 +173,12 @@ def _error_deg(found: float, true: float) -> float:
 def run(settings: Settings) -> dict[str, Any]:
     """Rows by set of frames."""
     if settings.smoke:
-        settings = replace(settings, step_deg=90, sets="severity 1", segmenters="pix2pix,otsu")
+        settings = replace(settings, step_deg=90, sets="severity 1", segmenters="pix2pix; otsu")
     sets: dict[str, list[dict[str, Any]]] = {}
     for title in settings.sets.split(","):
         frames, refined = frames_of(title, settings), title == REFINED
         sets[title] = []
-        for name in settings.segmenters.split(","):
+        for name in settings.segmenters.split("; "):
             if name == DISCRIMINATIVE and not DISCRIMINATIVE_WEIGHTS.exists():
                 continue
             judged = [judge(frame, name, refined) for frame in tqdm(frames, desc=f"{title}, {name}", unit="frame")]

@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 import sonarjax as sj
 from experiments.frames import paper_frames, sonar_for
-from experiments.segmenters import NAMES, map_maker
+from experiments.segmenters import NAMES, map_of
 
 VALIDATION_SEED = 1000
 
@@ -30,18 +30,15 @@ def main() -> None:
     """Command line of the experiment."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--step-deg", type=int, default=20, help="yaw step of the validation frames [deg]")
-    parser.add_argument("--segmenters", default=",".join(NAMES), help="which, separated by commas")
+    parser.add_argument("--segmenters", default="; ".join(NAMES), help="which, separated by semicolons")
     settings = parser.parse_args()
     frames = paper_frames(VALIDATION_SEED, yaw_offset_deg=5.0, step_deg=settings.step_deg)
     mesh = sj.objects.target()
-    for name in settings.segmenters.split(","):
-        make_map = map_maker(name)
+    for name in settings.segmenters.split("; "):
         scores: dict[bool, list[float]] = {True: [], False: []}
         for frame in tqdm(frames, desc=name, unit="frame"):
             sonar = sonar_for(frame.tilt_deg)
-            result = sj.recognize(
-                make_map(frame.image, None), mesh, sonar, segmenter="none", refine=False, threshold=0.0
-            )
+            result = sj.recognize(map_of(name, frame), mesh, sonar, segmenter="none", refine=False, threshold=0.0)
             scores[frame.is_target].append(result.score)
         target, other = np.array(scores[True]), np.array(scores[False])
         cut = best_threshold(target, other)

@@ -1,46 +1,49 @@
 """The segmenters that experiments compare, by name: those of the package, and the paper's 'discriminative model'.
 
-The discriminative model is the same U-Net trained on the same pairs by cross-entropy alone (`train_discriminative`).
-Its weights lie beside this file: a baseline is needed where results are checked, not where the package is used.
+The discriminative model is the same U-Net trained on the same pairs by cross-entropy alone, by the experiment
+`train_discriminative`. Its weights lie beside this file: a baseline is for checking results, not for users.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
+from experiments.frames import TestFrame
 from sonarjax.recognize import THRESHOLDS
 from sonarjax.segment import SEGMENTERS, semantic_map
-from sonarjax.segment.weights import load_generator
+from sonarjax.segment.weights import GeneratorWeights, load_generator
 from sonarjax.segment.whole import segment_frame
 
-DISCRIMINATIVE = "discriminative"
+DISCRIMINATIVE, TILES, TRUTH = "discriminative", "pix2pix, tiles", "truth"
 DISCRIMINATIVE_WEIGHTS = Path(__file__).with_name("discriminative.safetensors")
-DISCRIMINATIVE_THRESHOLD = 0.5
+OWN_THRESHOLDS = {TRUTH: 0.5, DISCRIMINATIVE: 0.5, TILES: 0.5}
 """Least score of an identified target, from validation frames of experiments/fit_threshold.py."""
-NAMES = ("pix2pix", DISCRIMINATIVE, *(name for name in SEGMENTERS if name != "pix2pix"))
-"""All segmenters that are compared."""
+NAMES = (TRUTH, "pix2pix", TILES, DISCRIMINATIVE, *(name for name in SEGMENTERS if name != "pix2pix"))
+"""All that are compared: `truth` is the true map, `pix2pix, tiles` the network without its closer looks."""
 
 
-def map_maker(name: str) -> Callable[[np.ndarray, np.ndarray | None], np.ndarray]:
-    """The function from a grey frame and mask (both (range, beam)) to the map that is matched, as `semantic_map` does.
+def map_of(name: str, frame: TestFrame) -> np.ndarray:
+    """The semantic map (range, beam) that a segmenter makes of a frame.
 
     Raises SonarjaxError for a name or file that is not there.
     """
-    if name != DISCRIMINATIVE:
-        return lambda image, mask=None: semantic_map(image, name, mask)
-    weights = _discriminative()
-    return lambda image, mask=None: segment_frame(weights, image, mask)
+    if name == TRUTH:
+        return frame.clean
+    if name == TILES:
+        return segment_frame(load_generator(), frame.image, closer=False)
+    if name == DISCRIMINATIVE:
+        return segment_frame(_discriminative(), frame.image)
+    return np.asarray(semantic_map(frame.image, name), np.float32)
 
 
 def threshold_of(name: str) -> float:
     """Least score of an identified target, fixed on validation frames."""
-    return DISCRIMINATIVE_THRESHOLD if name == DISCRIMINATIVE else THRESHOLDS[name]
+    return (THRESHOLDS | OWN_THRESHOLDS)[name]
 
 
 @cache
-def _discriminative():
+def _discriminative() -> GeneratorWeights:
     return load_generator(DISCRIMINATIVE_WEIGHTS)

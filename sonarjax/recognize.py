@@ -36,7 +36,7 @@ REFINEMENT: dict[str, Any] = {
 }
 """How `recognize` calls `refine_yaw`."""
 SAME_YAW = math.radians(8.0)  # refined hypotheses closer than this are one
-THRESHOLDS = {"none": 0.550, "otsu": 0.614, "otsu1": 0.492, "otsu3": 0.513, "median-otsu": 0.623}
+THRESHOLDS = {"pix2pix": 0.830, "none": 0.550, "otsu": 0.614, "otsu1": 0.492, "otsu3": 0.513, "median-otsu": 0.623}
 """Least score of an identified target, for each segmenter; validation frames of experiments/fit_threshold.py."""
 
 
