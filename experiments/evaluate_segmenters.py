@@ -23,9 +23,9 @@ from experiments.bench_render import parse
 from experiments.frames import TestFrame, paper_frames, sonar_for
 from experiments.segmenters import DISCRIMINATIVE, DISCRIMINATIVE_WEIGHTS, NAMES, map_of, threshold_of
 from sonarjax.data import Box, cut_box
+from sonarjax.data.crops import MARGIN, MARGIN_OF_FRAME
 from sonarjax.io import write_text
 from sonarjax.segment.metrics import confusion, iou, psnr
-from sonarjax.segment.whole import box_around
 
 SETS = {
     "severity 1": {},
@@ -44,8 +44,9 @@ COLUMNS = {
     "bin": "target frames whose best template is the nearest of the 10° bins",
     "NCC own": "mean correlation (eq. 4) of target frames with the best of the target's templates",
     "NCC other": "the same of the other object's frames",
-    "IoU": "intersection over union of labels on the 128 × 128 crop, all frames together: mean of highlight and shadow",
-    "PSNR gain": "PSNR of the map on that crop against the true map, less that of the raw crop [dB], mean over frames",
+    "IoU": "intersection over union of the 128 × 128 crop's labels, all frames together, mean of highlight and shadow",
+    "PSNR": "of the map on that crop against the true map [dB], mean over frames",
+    "PSNR gain": "that, less the PSNR of the raw crop [dB]",
 }
 YAW_COLUMNS = {"yaw median": "refined yaw error of target frames [°]", "yaw 95 %": "its 95th percentile [°]"}
 
@@ -75,8 +76,8 @@ class Judged(NamedTuple):
     result: sj.Recognition
     counts: np.ndarray
     """Pixels of the crop (truth, predicted)."""
-    gain: float
-    """PSNR of the map less that of the raw crop [dB]."""
+    psnr_db: tuple[float, float]
+    """PSNR of the crop before and after segmentation [dB]."""
 
 
 def mirrored(mesh: sj.Mesh) -> sj.Mesh:
@@ -99,8 +100,8 @@ def judge(frame: TestFrame, name: str, refine: bool) -> Judged:
     result = sj.recognize(
         semantic, _target(), sonar, segmenter="none", threshold=threshold_of(name), refine=refine and frame.is_target
     )
-    counts, gain = _compare(*(jnp.asarray(v) for v in (semantic, frame.image, frame.clean)), _crop(frame.clean))
-    return Judged(frame, result, np.asarray(counts), float(gain))
+    counts, *decibels = _compare(*(jnp.asarray(v) for v in (semantic, frame.image, frame.clean)), _crop(frame.clean))
+    return Judged(frame, result, np.asarray(counts), (float(decibels[0]), float(decibels[1])))
 
 
 _TARGET: list[sj.Mesh] = []
@@ -114,18 +115,23 @@ def _target() -> sj.Mesh:
 
 
 def _crop(clean: np.ndarray) -> Box:
-    """The 128 × 128 crop of a frame: object and shadow with the margins of a closer look."""
-    rows, columns = (np.flatnonzero((np.abs(clean - 0.5) > 0.25).any(axis=1 - axis)) for axis in (0, 1))
-    box = box_around((rows[0], columns[0], rows[-1] + 1, columns[-1] + 1), clean.shape)
-    return Box(*(jnp.float32(v) for v in box))
+    """The crop of a frame: object and shadow with the mean margins of training's crops."""
+    spans = []
+    for axis, size in enumerate(clean.shape):
+        touched = np.flatnonzero((np.abs(clean - 0.5) > 0.25).any(axis=1 - axis))
+        margin = np.mean(MARGIN) * (touched[-1] + 1 - touched[0]) + np.mean(MARGIN_OF_FRAME) * size
+        first, last = max(touched[0] - margin, 0.0), min(touched[-1] + 1 + margin, size)
+        spans.append((jnp.float32(first), jnp.float32(last - first)))
+    (top, rows), (left, columns) = spans
+    return Box(top, left, rows, columns)
 
 
 @jax.jit
-def _compare(semantic: jax.Array, image: jax.Array, clean: jax.Array, box: Box) -> tuple[jax.Array, jax.Array]:
-    """Pixels (truth, predicted) of the labels on the crop, and what PSNR gains."""
+def _compare(semantic: jax.Array, image: jax.Array, clean: jax.Array, box: Box) -> tuple[jax.Array, ...]:
+    """Pixels (truth, predicted) of the labels on the crop, and its PSNR before and after segmentation."""
     made, raw, true = (cut_box(layer, box) for layer in (semantic, image, clean))
     counts = confusion(_labels(made), _labels(true))
-    return counts, psnr(made, true) - psnr(raw, true)
+    return counts, psnr(raw, true), psnr(made, true)
 
 
 def _labels(grey: jax.Array) -> jax.Array:
@@ -138,6 +144,7 @@ def row(name: str, judged: list[Judged], refined: bool) -> dict[str, Any]:
     score = np.array([j.result.score_bank for j in judged])
     right = np.array([_error_deg(j.result.yaw_bin, j.frame.yaw) <= 5.5 for j in judged])  # both bins at a tie
     shares = np.asarray(iou(jnp.asarray(sum(j.counts for j in judged))))
+    raw, made = np.mean([j.psnr_db for j in judged], axis=0)
     limit = threshold_of(name)
     metrics: dict[str, Any] = {
         "segmenter": name,
@@ -152,7 +159,8 @@ def row(name: str, judged: list[Judged], refined: bool) -> dict[str, Any]:
         "IoU": float(shares[1:].mean()),
         "IoU highlight": float(shares[1]),
         "IoU shadow": float(shares[2]),
-        "PSNR gain": float(np.mean([j.gain for j in judged])),
+        "PSNR": float(made),
+        "PSNR gain": float(made - raw),
     }
     if refined:
         errors = np.array([_error_deg(j.result.yaw, j.frame.yaw) for j in judged if j.frame.is_target])
@@ -197,7 +205,7 @@ def table(report: dict[str, Any]) -> str:
         columns = [*COLUMNS, *(YAW_COLUMNS if title == REFINED else {})]
         lines += [f"\n{title}", "| segmenter | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
         for values in rows:
-            cells = [f"{values[c]:.1f}" if c == "PSNR gain" else f"{values[c]:.3f}" for c in columns]
+            cells = [f"{values[c]:.2f}" if "PSNR" in c else f"{values[c]:.3f}" for c in columns]
             lines.append(f"| {values['segmenter']} | {' | '.join(cells)} |")
     return "\n".join([*lines, "", *(f"{name}: {what}" for name, what in (COLUMNS | YAW_COLUMNS).items())])
 

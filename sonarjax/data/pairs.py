@@ -7,7 +7,7 @@ that is not there or not lit, dark as it looks (a template is 0.5 there).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import jax
@@ -17,7 +17,6 @@ from jaxtyping import Array, Float, UInt8
 
 from sonarjax._cores import SINGLE_CORE, side_by_side
 from sonarjax.data.crops import cut_box, cut_labels, draw_box
-from sonarjax.data.draws import Stream
 from sonarjax.data.objects import draw_shape
 from sonarjax.data.scenes import render_scenes
 from sonarjax.data.shapes import remove_walls, shape_mesh
@@ -29,8 +28,6 @@ from sonarjax.sensor import SensorModel, observe, render_bounces
 PAPER_PAIRS = 6780
 """Pairs in the paper's training set (§3.1)."""
 SPLITS = {"train": 1, "validation": 2, "test": 3}
-FLOOR_BOUNCE_SHARE, SURFACE_BOUNCE_SHARE = 0.75, 0.4
-"""How often there are echoes by way of the floor, and of the water's surface."""
 CHUNK = 8  # pairs made by one call of the compiled function
 VMAPPED = 64  # pairs at once on an accelerator
 
@@ -106,11 +103,13 @@ def _chunk(key: Array, start: Array, size: int, settings: PairSettings) -> Pairs
 
 def draw_pair(settings: PairSettings, *, key: Array) -> Pairs:
     """One pair, without the leading axis."""
-    shape_key, view_key, model_key, noise_key, box_key = jax.random.split(key, 5)
+    shape_key, view_key, severity_key, model_key, noise_key, box_key = jax.random.split(key, 6)
     shape = draw_shape(key=shape_key)
     view = draw_view(settings.n_ranges, settings.n_beams, key=view_key)
     mesh = shape_mesh(shape.kind, view.pose.to_ground(shape.vertices), view.walls)
-    model = _draw_model(settings, key=model_key)
+    low, high = settings.severity
+    severity = jax.random.uniform(severity_key, minval=low, maxval=high)
+    model = SensorModel.draw(key=model_key, severity=severity)
     quality = {"sub_beams": settings.sub_beams, "elevations": settings.elevations}
     alone, seen = render_scenes(mesh, view, **quality)
     echoes = render_bounces(remove_walls(mesh), Pose(), view.sonar, model, **quality)
@@ -118,14 +117,3 @@ def draw_pair(settings: PairSettings, *, key: Array) -> Pairs:
     box = draw_box(alone.labels(), key=box_key)
     patch = jnp.round(255 * jnp.clip(cut_box(image, box), 0.0, 1.0)) / 255
     return Pairs(patch, cut_labels(alone.highlight, alone.shadow, box))
-
-
-def _draw_model(settings: PairSettings, *, key: Array) -> SensorModel:
-    """A device; echoes by way of floor and surface are missing now and then, which also saves their renders."""
-    stream = Stream(3, key=fold_in(key, 1))
-    model = SensorModel.draw(key=key, severity=stream.between(*settings.severity))
-    return replace(
-        model,
-        floor_bounce=stream.sometimes(FLOOR_BOUNCE_SHARE, model.floor_bounce, 0.0),
-        surface_bounce=stream.sometimes(SURFACE_BOUNCE_SHARE, model.surface_bounce, 0.0),
-    )

@@ -10,27 +10,25 @@ from sonarjax.data.shapes import remove_walls
 from sonarjax.data.views import View
 from sonarjax.render import SonarFrame, render
 from sonarjax.scene import Mesh, Pose
+from sonarjax.sensor import with_skirts
 
 
 def render_scenes(mesh: Mesh, view: View, *, sub_beams: int, elevations: int) -> tuple[SonarFrame, SonarFrame]:
-    """Frames of the object alone and of the scene with its walls; `mesh` is in the ground frame.
+    """Frames of the object alone, as a template has it, and of what an image is made of; `mesh` is in the ground frame.
 
-    One after the other through one compiled render; where there are no walls there is one frame only.
+    The second has the walls, where there are any, and reaches beyond the aperture (see `with_skirts`). One after the
+    other through one compiled render.
     """
-    quality = {"sub_beams": sub_beams, "elevations": elevations}
 
     def layers(scene: tuple[Array, Array]) -> tuple[Array, ...]:
-        frame = render(mesh.with_vertices(scene[0]), Pose(), view.sonar, **quality)
+        vertices, aperture = scene
+        sonar = view.sonar.replace(elevation_aperture=aperture)
+        frame = render(mesh.with_vertices(vertices), Pose(), sonar, sub_beams=sub_beams, elevations=elevations)
         return frame.intensity, frame.highlight, frame.shadow, frame.lit
 
-    def nothing(scene: tuple[Array, Array]) -> tuple[Array, ...]:
-        dark = jnp.zeros(view.sonar.shape)
-        return dark, dark, dark, dark > 0
-
-    scenes = (
-        jnp.stack([remove_walls(mesh).vertices, mesh.vertices]),
-        jnp.stack([jnp.ones((), bool), view.has_walls]),
-    )
-    both = jax.lax.map(lambda scene: jax.lax.cond(scene[1], layers, nothing, scene), scenes)
-    alone = SonarFrame(*(layer[0] for layer in both))
-    return alone, SonarFrame(*(jnp.where(view.has_walls, layer[1], layer[0]) for layer in both))
+    bare = remove_walls(mesh).vertices
+    vertices = jnp.stack([bare, jnp.where(view.has_walls, mesh.vertices, bare)])
+    apertures = jnp.stack([view.sonar.elevation_aperture, with_skirts(view.sonar).elevation_aperture])
+    both = jax.lax.map(layers, (vertices, apertures))
+    alone, seen = (SonarFrame(*(layer[k] for layer in both)) for k in (0, 1))
+    return alone, seen

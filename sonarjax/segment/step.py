@@ -55,7 +55,7 @@ class GanConfig:
     beta2: float = 0.999
     """Adam's decay of the mean square."""
     distance: float = 100.0
-    """λ of eq. 3. The paper gives no number: this is pix2pix's."""
+    """λ of eq. 3. The paper gives no number; with N affine, which halves differences, 100 is pix2pix's 50."""
     normaliser: Normaliser = "affine"
     """N of eq. 3."""
     saturating: bool = False
@@ -103,12 +103,14 @@ class GanState:
     """Adam's state for the discriminator."""
     ema: Any
     """Exponential average of `generator`."""
+    ema_stats: Any
+    """The same average of `batch_stats`: the statistics that belong to `ema`, and less noisy ones."""
     config: GanConfig = field(metadata={"static": True})
     """What was asked for."""
 
     def weights(self) -> dict[str, Any]:
         """Variables of the averaged generator, for `Generator.apply` in inference."""
-        return {"params": self.ema, "batch_stats": self.batch_stats}
+        return {"params": self.ema, "batch_stats": self.ema_stats}
 
 
 @partial(jax.jit, static_argnames="config")
@@ -127,6 +129,7 @@ def create_state(config: GanConfig, *, key: Array) -> GanState:
         generator_optimiser=adam.init(variables["params"]),
         discriminator_optimiser=adam.init(judge),
         ema=jax.tree.map(jnp.copy, variables["params"]),
+        ema_stats=jax.tree.map(jnp.copy, variables["batch_stats"]),
         config=config,
     )
 
@@ -213,14 +216,18 @@ def _move_generator(state: GanState, gradient: Any, batch_stats: Any) -> GanStat
     params, optimiser = _adam(config, gradient, state.generator_optimiser, state.generator)
     # With few steps done their plain mean is better than an average that remembers the draw of the weights.
     decay = jnp.minimum(config.ema_decay, (1 + state.step) / (10 + state.step))
-    ema = jax.tree.map(lambda old, new: new + decay * (old - new), state.ema, params)
+
+    def average(old: Any, new: Any) -> Any:
+        return jax.tree.map(lambda a, b: b + decay * (a - b), old, new)
+
     return replace(
         state,
         step=state.step + 1,
         generator=params,
         batch_stats=batch_stats,
         generator_optimiser=optimiser,
-        ema=ema,
+        ema=average(state.ema, params),
+        ema_stats=average(state.ema_stats, batch_stats),
     )
 
 

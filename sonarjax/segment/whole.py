@@ -45,12 +45,12 @@ def segment_frame(
     Pixels outside `mask` are background, and dark to the network, as floor that is not lit is. `closer` False stops
     after the tiles.
     """
-    image = jnp.asarray(image if mask is None else np.where(mask, image, 0.0), jnp.float32)
-    grey = np.array(_through_boxes(weights, image, _tiles(image.shape)))
+    seen = jnp.asarray(image if mask is None else np.where(mask, image, 0.0), jnp.float32)
+    grey = np.array(_through_boxes(weights, seen, _tiles(seen.shape)))
     if mask is not None:
         grey = np.where(mask, grey, np.float32(0.5))
     for box in _objects(grey) if closer else []:
-        looked = np.asarray(_through_box(weights, image, Box(*(jnp.float32(v) for v in box))))
+        looked = np.asarray(_through_box(weights, seen, Box(*(jnp.float32(v) for v in box))))
         inside = pixels_inside(box)
         grey[inside] = looked[inside]
     return grey if mask is None else np.where(mask, grey, np.float32(0.5))

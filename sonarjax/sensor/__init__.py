@@ -20,6 +20,7 @@ from sonarjax.sensor.propagation import (
     reference_energy,
     reference_range,
     time_varied_gain,
+    with_skirts,
 )
 from sonarjax.sensor.speckle import (
     azimuth_kernel,
@@ -40,5 +41,5 @@ __all__ = [
     "fresh_absorption", "gamma_of_normal", "gamma_texture", "heavy_tails", "multi_look", "noise_floor", "observe",
     "observe_scene", "patchy_normal", "pulse_blur", "quantise", "range_kernel", "range_middles", "received_energy",
     "reference_energy", "reference_range", "render_bounces", "speckle", "speckle_intensity", "streaks",
-    "time_varied_gain",
+    "time_varied_gain", "with_skirts",
 ]  # fmt: skip

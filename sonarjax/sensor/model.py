@@ -108,13 +108,16 @@ class SensorModel:
 
     def scaled(self, severity: Scalar) -> SensorModel:
         """The same device with its noise and artefacts (`SCALED`) times `severity`."""
-        return replace(self, **{name: severity * getattr(self, name) for name in SCALED})
+        scaled = {name: severity * getattr(self, name) for name in SCALED}
+        for name in ("floor_bounce", "surface_bounce"):  # a mirror adds no energy
+            scaled[name] = jnp.minimum(scaled[name], 1.0)
+        return replace(self, **scaled)
 
 
 SCALED = ("crosstalk", "streak", "beam_gain_std", "noise", "speckle", "texture", "floor_bounce", "surface_bounce")
 """Fields that grow with severity."""
 
-FLOOR_HEARD, SURFACE_HEARD = 0.7, 0.4
+FLOOR_HEARD, SURFACE_HEARD = 0.55, 0.2
 """Share of the drawn devices with a mirror in the floor, and in the water's surface."""
 
 RANGES: dict[str, tuple[float, float, str]] = {
@@ -127,7 +130,7 @@ RANGES: dict[str, tuple[float, float, str]] = {
     "beam_ways": (1.0, 2.0, "even"),
     "elevation_skirt": (8.0, 16.0, "even"),
     "pulse_bins": (1.0, 5.0, "even"),
-    "crosstalk": (0.002, 0.08, "log"),
+    "crosstalk": (0.002, 0.2, "log"),
     "crosstalk_period": (3.0, 16.0, "even"),
     "streak": (0.0005, 0.02, "log"),
     "beam_gain_std": (0.1, 1.0, "even"),
@@ -145,7 +148,7 @@ RANGES: dict[str, tuple[float, float, str]] = {
     "gain": (12.0, 26.0, "even"),
     "automatic_gain": (0.0, 0.8, "even"),
     "log_share": (0.0, 1.0, "even"),
-    "dynamic_range": (30.0, 60.0, "even"),
+    "dynamic_range": (30.0, 80.0, "even"),
     "exponent": (0.2, 0.5, "even"),
 }
 """Least and largest value of each field that `draw` gives at severity 1, and whether it is even in it or its log."""

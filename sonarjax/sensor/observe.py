@@ -25,6 +25,7 @@ from sonarjax.sensor.propagation import (
     reference_energy,
     reference_range,
     time_varied_gain,
+    with_skirts,
 )
 from sonarjax.sensor.speckle import (
     azimuth_kernel,
@@ -47,10 +48,11 @@ def observe(
     key: jax.Array,
     bounces: SonarFrame | None = None,
 ) -> Float[Array, "range beam"]:
-    """The grey image (range, beam) in [0, 1], of 256 values, that a device makes of a rendered `frame`.
+    """The grey image (range, beam) in [0, 1], of 256 values, that a device makes of a `frame`.
 
-    `bounces` are the echoes of `render_bounces`. Works under jit and vmap over keys, models, frames and sonars;
-    differentiable but for the quantisation, whose derivative is taken to be 1.
+    The frame is one of `with_skirts(sonar)`, or the vertical pattern ends sharply at the aperture. `bounces` are the
+    echoes of `render_bounces`. Works under jit and vmap over keys, models, frames and sonars; differentiable but for
+    the quantisation, whose derivative is taken to be 1.
     """
     gains_key, texture_key, speckle_key = jax.random.split(key, 3)
     energy = received_energy(frame, sonar, model, bounces) * beam_gains(
@@ -69,7 +71,8 @@ def received_energy(
 ) -> Float[Array, "range beam"]:
     """Mean energy (range, beam) after propagation, beams, pulse and gain, relative to the floor on the beam axis.
 
-    Nothing in it is random: it is what speckle multiplies.
+    Nothing in it is random: it is what speckle multiplies. The vertical pattern is that at the floor's elevation in
+    each pixel, for objects too; bounces come from other angles and go without.
     """
     ranges = range_middles(sonar)
     object_gain = 10 ** (jnp.asarray(model.object_gain, jnp.float32) / 10)
@@ -114,6 +117,15 @@ def observe_scene(
 
     `sub_beams` and `elevations` as in `render`; raises SonarjaxError as it does.
     """
-    frame = render(mesh, pose, sonar, sub_beams=sub_beams, elevations=elevations)
+
+    def layers(aperture: Array) -> tuple[Array, Array, Array, Array]:
+        reaching = sonar.replace(elevation_aperture=aperture)
+        found = render(mesh, pose, reaching, sub_beams=sub_beams, elevations=elevations)
+        return found.intensity, found.highlight, found.shadow, found.lit
+
+    # One after the other, so that the renderer is compiled once.
+    apertures = [s.elevation_aperture for s in (sonar, with_skirts(sonar))]
+    both = jax.lax.map(layers, jnp.stack([jnp.asarray(a, jnp.float32) for a in apertures]))
+    frame, seen = (SonarFrame(*(layer[k] for layer in both)) for k in (0, 1))
     bounces = render_bounces(mesh, pose, sonar, model)
-    return observe(frame, sonar, model, key=key, bounces=bounces), frame
+    return observe(seen, sonar, model, key=key, bounces=bounces), frame

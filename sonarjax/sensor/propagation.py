@@ -15,6 +15,8 @@ from sonarjax.sonar import Sonar
 
 MAX_PULSE_BINS = 9
 """Longest pulse that `pulse_blur` spreads an echo over [range bins]."""
+SKIRT = math.radians(3.0)
+"""How far beyond the aperture an echo counts [rad]: at 12 dB per degree it is 36 dB down there."""
 
 ARCSIN = (
     1.5707963050, -0.2145988016, 0.0889789874, -0.0501743046, 0.0308918810, -0.0170881256, 0.0066700901, -0.0012624911,
@@ -54,6 +56,14 @@ def elevation_gain(offset: Float[Array, "*batch"], aperture: Any, skirt: Any) ->
     """
     beyond = jnp.degrees(jnp.abs(offset) - jnp.asarray(aperture, jnp.float32) / 2)
     return 1 / (1 + 10 ** jnp.clip(jnp.asarray(skirt, jnp.float32) * beyond / 10, -20.0, 20.0))
+
+
+def with_skirts(sonar: Sonar) -> Sonar:
+    """The sonar with `SKIRT` more aperture above and below: what is rendered where `elevation_gain` has its say.
+
+    A template ends sharply at the aperture, an image fades there.
+    """
+    return sonar.replace(elevation_aperture=sonar.elevation_aperture + 2 * SKIRT)
 
 
 def floor_elevation(sonar: Sonar) -> Float[Array, "range beam"]:

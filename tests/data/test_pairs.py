@@ -89,7 +89,7 @@ def test_labels_are_those_of_a_plain_render(pairs):
 
 @jax.jit
 def _drawn(key):
-    shape_key, view_key, _, _, box_key = jax.random.split(key, 5)
+    shape_key, view_key, *_, box_key = jax.random.split(key, 6)
     shape = draw_shape(key=shape_key)
     view = draw_view(PairSettings().n_ranges, PairSettings().n_beams, key=view_key)
     mesh = shape_mesh(shape.kind, view.pose.to_ground(shape.vertices), view.walls)

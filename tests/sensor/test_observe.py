@@ -13,7 +13,7 @@ import pytest
 
 from sonarjax.render import SonarFrame
 from sonarjax.sensor import SensorModel, elevation_gain, floor_elevation, observe, range_middles, received_energy
-from sonarjax.sensor.model import RANGES, SCALED
+from sonarjax.sensor.model import FLOOR_HEARD, RANGES, SCALED, SURFACE_HEARD
 from sonarjax.sonar import Sonar
 
 ROWS, BEAMS = slice(60, 80), slice(18, 30)  # of an object, and its shadow behind
@@ -131,7 +131,8 @@ def test_draws_fill_their_ranges_around_the_nominal_device() -> None:
         assert spoken.min() >= low - margin and spoken.max() <= high + margin
         assert np.ptp(spoken) > 0.9 * (high - low)
         assert low <= getattr(SensorModel(), name) <= high
-    assert np.mean(np.asarray(models.surface_bounce) == 0) == pytest.approx(0.6, abs=0.1)
+    heard = np.mean(np.asarray([models.floor_bounce, models.surface_bounce]) > 0, axis=1)
+    assert heard == pytest.approx([FLOOR_HEARD, SURFACE_HEARD], abs=0.1)
 
 
 def test_received_energy_differentiates_in_the_model() -> None:

@@ -103,7 +103,7 @@ PRESETS: dict[str, Recipe] = {
         batch=8,
         pairs=4096,
         passes=6,
-        sets=7,
+        sets=5,
         validation_pairs=256,
     ),
     # §3.2 on a GPU: 30 epochs of the 6,780 pairs at full width.
@@ -113,6 +113,8 @@ PRESETS: dict[str, Recipe] = {
         batch=32,
         pairs=PAPER_PAIRS,
         passes=30,
+        mirrored=0.0,
+        plain=0.0,
         validation_pairs=256,
         checkpoint_steps=1000,
         log_steps=50,
