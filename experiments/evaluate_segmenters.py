@@ -21,10 +21,12 @@ from tqdm import tqdm
 import sonarjax as sj
 from experiments.bench_render import parse
 from experiments.frames import TestFrame, paper_frames, sonar_for
-from experiments.segmenters import DISCRIMINATIVE, DISCRIMINATIVE_WEIGHTS, NAMES, map_of, threshold_of
+from experiments.segmenters import available, map_of, threshold_of
 from sonarjax.data import Box, cut_box
 from sonarjax.data.crops import MARGIN, MARGIN_OF_FRAME
 from sonarjax.io import write_text
+from sonarjax.segment import SEGMENTERS
+from sonarjax.segment.classical import from_grey
 from sonarjax.segment.metrics import confusion, iou, psnr
 
 SETS = {
@@ -42,13 +44,18 @@ COLUMNS = {
     "identified": "target frames whose score reaches the threshold",
     "refused": "other frames whose score does not",
     "bin": "target frames whose best template is the nearest of the 10° bins",
-    "NCC own": "mean correlation (eq. 4) of target frames with the best of the target's templates",
-    "NCC other": "the same of the other object's frames",
+    "identification": "frames, of both objects, on the right side of the threshold, whatever their yaw",
+    "NCC own": "mean correlation (eq. 4) of target frames with the template of their own yaw bin",
+    "NCC other": "mean correlation of the other object's frames with the best of the target's templates",
+    "largest": "the largest of those",
     "IoU": "intersection over union of the 128 × 128 crop's labels, all frames together, mean of highlight and shadow",
     "PSNR": "of the map on that crop against the true map [dB], mean over frames",
     "PSNR gain": "that, less the PSNR of the raw crop [dB]",
 }
-YAW_COLUMNS = {"yaw median": "refined yaw error of target frames [°]", "yaw 95 %": "its 95th percentile [°]"}
+YAW_COLUMNS = {
+    "yaw median": "refined yaw error of target frames [°]; of truth, tiles and discriminative on the map alone",
+    "yaw 95 %": "its 95th percentile [°]",
+}
 
 
 @dataclass(frozen=True)
@@ -59,8 +66,8 @@ class Settings:
     """Root seed of the frames."""
     step_deg: int = 10
     """Yaw step of each set [deg]; 10 gives the 288 frames of §4.1."""
-    segmenters: str = "; ".join(NAMES)
-    """Segmenters to compare, separated by semicolons; `truth` is the true map, what no segmenter can pass."""
+    segmenters: str = ",".join(available())
+    """Segmenters to compare, separated by commas; `truth` is the true map, what no segmenter can pass."""
     sets: str = ",".join(SETS)
     """Sets of frames, separated by commas."""
     out: str = "runs/evaluate_segmenters"
@@ -94,11 +101,12 @@ def frames_of(name: str, settings: Settings) -> list[TestFrame]:
 
 def judge(frame: TestFrame, name: str, refine: bool) -> Judged:
     """Segment, recognize and compare with the truth."""
-    sonar = sonar_for(frame.tilt_deg)
-    semantic = map_of(name, frame)
-    # Yaw is judged on the target alone, so only its frames are refined.
+    semantic, limit = map_of(name, frame), threshold_of(name)
+    refine = refine and frame.is_target  # yaw is judged on the target alone
+    # `recognize` knows its own segmenters only; what others make is matched as a frame that needs none.
+    image, segmenter = (frame.image, name) if refine and name in SEGMENTERS else (semantic, "none")
     result = sj.recognize(
-        semantic, _target(), sonar, segmenter="none", threshold=threshold_of(name), refine=refine and frame.is_target
+        image, _target(), sonar_for(frame.tilt_deg), segmenter=segmenter, threshold=limit, refine=refine
     )
     counts, *decibels = _compare(*(jnp.asarray(v) for v in (semantic, frame.image, frame.clean)), _crop(frame.clean))
     return Judged(frame, result, np.asarray(counts), (float(decibels[0]), float(decibels[1])))
@@ -130,12 +138,8 @@ def _crop(clean: np.ndarray) -> Box:
 def _compare(semantic: jax.Array, image: jax.Array, clean: jax.Array, box: Box) -> tuple[jax.Array, ...]:
     """Pixels (truth, predicted) of the labels on the crop, and its PSNR before and after segmentation."""
     made, raw, true = (cut_box(layer, box) for layer in (semantic, image, clean))
-    counts = confusion(_labels(made), _labels(true))
+    counts = confusion(from_grey(made), from_grey(true))
     return counts, psnr(raw, true), psnr(made, true)
-
-
-def _labels(grey: jax.Array) -> jax.Array:
-    return jnp.where(grey > 0.75, 1, jnp.where(grey < 0.25, 2, 0)).astype(jnp.uint8)
 
 
 def row(name: str, judged: list[Judged], refined: bool) -> dict[str, Any]:
@@ -154,8 +158,10 @@ def row(name: str, judged: list[Judged], refined: bool) -> dict[str, Any]:
         "identified": float((score[is_target] >= limit).mean()),
         "refused": float((score[~is_target] < limit).mean()),
         "bin": float(right[is_target].mean()),
-        "NCC own": float(score[is_target].mean()),
+        "identification": float(((score >= limit) == is_target).mean()),
+        "NCC own": float(np.mean([_own_score(j) for j in judged if j.frame.is_target])),
         "NCC other": float(score[~is_target].mean()),
+        "largest": float(score[~is_target].max()),
         "IoU": float(shares[1:].mean()),
         "IoU highlight": float(shares[1]),
         "IoU shadow": float(shares[2]),
@@ -173,6 +179,11 @@ def _accuracy(score: np.ndarray, right: np.ndarray, is_target: np.ndarray, limit
     return float(np.where(is_target, said & right, ~said).mean())
 
 
+def _own_score(judged: Judged) -> float:
+    scores = judged.result.scores_by_yaw
+    return float(scores[round(judged.frame.yaw * len(scores) / (2 * np.pi)) % len(scores)])
+
+
 def _error_deg(found: float, true: float) -> float:
     """Absolute circular difference [deg] of two yaws [rad]."""
     return float(np.degrees(abs((found - true + np.pi) % (2 * np.pi) - np.pi)))
@@ -181,14 +192,12 @@ def _error_deg(found: float, true: float) -> float:
 def run(settings: Settings) -> dict[str, Any]:
     """Rows by set of frames."""
     if settings.smoke:
-        settings = replace(settings, step_deg=90, sets="severity 1", segmenters="pix2pix; otsu")
+        settings = replace(settings, step_deg=90, sets="severity 1", segmenters="pix2pix,otsu")
     sets: dict[str, list[dict[str, Any]]] = {}
     for title in settings.sets.split(","):
         frames, refined = frames_of(title, settings), title == REFINED
         sets[title] = []
-        for name in settings.segmenters.split("; "):
-            if name == DISCRIMINATIVE and not DISCRIMINATIVE_WEIGHTS.exists():
-                continue
+        for name in settings.segmenters.split(","):
             judged = [judge(frame, name, refined) for frame in tqdm(frames, desc=f"{title}, {name}", unit="frame")]
             sets[title].append(row(name, judged, refined))
     report = {"settings": dataclasses.asdict(settings), "versions": {"jax": jax.__version__}, "sets": sets}

@@ -1,6 +1,7 @@
 """How `recognize` should refine: yaw errors on validation frames (another seed than the test's) for several settings.
 
-python -m experiments.fit_refinement [--segmenters "pix2pix; none"] [--step-deg 30]: one row a setting and segmenter,
+Refined is on the segmenter's map, on the frame itself, or on the map and then on the frame.
+python -m experiments.fit_refinement [--segmenters pix2pix,none] [--step-deg 30]: one row a setting and segmenter,
 best first; what stands in `sonarjax.recognize.REFINEMENT` is marked. Test frames and real frames play no part.
 """
 
@@ -8,7 +9,9 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections import defaultdict
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from tqdm import tqdm
@@ -18,7 +21,7 @@ from experiments.bench_render import parse
 from experiments.fit_threshold import VALIDATION_SEED
 from experiments.frames import paper_frames, sonar_for
 from experiments.segmenters import map_of
-from sonarjax.recognize import REFINEMENT
+from sonarjax.recognize import REFINED_AGAIN, REFINEMENT
 
 BLURS = ((2.0, 0.8), (4.0, 1.5), (1.0, 0.5))
 SHARPNESSES = (0.0, 10.0)
@@ -29,40 +32,59 @@ MARGINS = (REFINEMENT["margin"], None)
 class Settings:
     """What is compared; every field is an option of the command line."""
 
-    segmenters: str = "pix2pix; none"
-    """Segmenters, separated by semicolons."""
+    segmenters: str = "pix2pix,none"
+    """Segmenters, separated by commas."""
     step_deg: int = 30
     """Yaw step of the validation frames [deg]."""
     severity: float = 1.0
     """Severity of the sensor model [1]."""
 
 
-def errors(segmenter: str, settings: Settings) -> dict[tuple, np.ndarray]:
-    """Yaw errors (frame,) [deg] of each setting (blurs, sharpness, margin), from where `recognize` starts refining."""
+class Way(NamedTuple):
+    """One way to refine."""
+
+    on: str
+    """`map`, `frame`, or `both`: the map first, then the frame."""
+    blurs: tuple[float, ...]
+    sharpness: float
+    margin: tuple[int, int] | None
+
+    def is_used(self, segmenter: str) -> bool:
+        """Whether `recognize` does so."""
+        on = "frame" if segmenter == "none" else "both" if segmenter in REFINED_AGAIN else "map"
+        return self.on == on and self._asdict().items() >= {k: REFINEMENT[k] for k in self._fields[1:]}.items()
+
+
+def errors(segmenter: str, settings: Settings) -> dict[Way, np.ndarray]:
+    """Yaw errors (frame,) [deg] of each way, from where `recognize` starts refining."""
     frames = paper_frames(VALIDATION_SEED, yaw_offset_deg=5.0, step_deg=settings.step_deg, severity=settings.severity)
     mesh = sj.objects.target()
-    found: dict[tuple, list[float]] = {key: [] for key in itertools.product(BLURS, SHARPNESSES, MARGINS)}
+    found: dict[Way, list[float]] = defaultdict(list)
     for frame in tqdm([f for f in frames if f.is_target], desc=segmenter, unit="frame"):
-        sonar, image = sonar_for(frame.tilt_deg), map_of(segmenter, frame)
-        start = sj.recognize(image, mesh, sonar, segmenter="none", refine=False)
+        sonar, semantic = sonar_for(frame.tilt_deg), map_of(segmenter, frame)
+        start = sj.recognize(semantic, mesh, sonar, segmenter="none", refine=False)
         pose = sj.Pose(start.x, start.y, start.yaw)
-        for (blurs, sharpness, margin), values in found.items():
-            changed = REFINEMENT | {"blurs": blurs, "sharpness": sharpness, "margin": margin}
-            yaw = float(sj.refine_yaw(image, mesh, sonar, pose, **changed).yaw)
-            values.append(abs(math.degrees(math.remainder(yaw - frame.yaw, 2 * math.pi))))
-    return {key: np.array(values) for key, values in found.items()}
+        for setting in itertools.product(BLURS, SHARPNESSES, MARGINS):
+            changed = REFINEMENT | dict(zip(Way._fields[1:], setting, strict=True))
+            estimates = {"frame": sj.refine_yaw(frame.image, mesh, sonar, pose, **changed)}
+            if segmenter != "none":
+                estimates["map"] = sj.refine_yaw(semantic, mesh, sonar, pose, **changed)
+                estimates["both"] = sj.refine_yaw(frame.image, mesh, sonar, estimates["map"].pose, **changed)
+            for on, estimate in estimates.items():
+                gap = math.remainder(float(estimate.yaw) - frame.yaw, 2 * math.pi)
+                found[Way(on, *setting)].append(abs(math.degrees(gap)))
+    return {way: np.array(values) for way, values in found.items()}
 
 
 def main(settings: Settings) -> None:
     """Print one table a segmenter."""
-    for segmenter in settings.segmenters.split("; "):
+    for segmenter in settings.segmenters.split(","):
         rows = errors(segmenter, settings)
         print(f"{segmenter}: {len(next(iter(rows.values())))} frames; error of the refined yaw [deg]")
-        for key in sorted(rows, key=lambda k: float(np.percentile(rows[k], 95))):
-            values, (blurs, sharpness, margin) = rows[key], key
-            used = dict(zip(("blurs", "sharpness", "margin"), key, strict=True)).items() <= REFINEMENT.items()
-            print(f"  median {np.median(values):5.2f}  95 % {np.percentile(values, 95):5.2f}  blurs {blurs}  "
-                  f"sharpness {sharpness:g}  margin {margin}{'  <- used' if used else ''}", flush=True)  # fmt: skip
+        for way in sorted(rows, key=lambda way: float(np.percentile(rows[way], 95))):
+            print(f"  median {np.median(rows[way]):5.2f}  95 % {np.percentile(rows[way], 95):5.2f}  on {way.on:<5}  "
+                  f"blurs {way.blurs}  sharpness {way.sharpness:g}  margin {way.margin}"
+                  f"{'  <- used' if way.is_used(segmenter) else ''}", flush=True)  # fmt: skip
 
 
 if __name__ == "__main__":

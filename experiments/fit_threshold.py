@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 import sonarjax as sj
 from experiments.frames import paper_frames, sonar_for
-from experiments.segmenters import NAMES, map_of
+from experiments.segmenters import available, map_of
 
 VALIDATION_SEED = 1000
 
@@ -22,19 +22,21 @@ def best_threshold(target: np.ndarray, other: np.ndarray) -> float:
     edges = np.unique(np.concatenate([target, other]))
     cuts = (edges[1:] + edges[:-1]) / 2
     errors = np.array([(target < cut).sum() + (other >= cut).sum() for cut in cuts])
-    least = cuts[errors == errors.min()]
-    return float((least.min() + least.max()) / 2)
+    least = np.flatnonzero(errors == errors.min())
+    runs = np.split(least, np.flatnonzero(np.diff(least) > 1) + 1)
+    widest = max(runs, key=lambda run: edges[run[-1] + 1] - edges[run[0]])
+    return float((edges[widest[0]] + edges[widest[-1] + 1]) / 2)
 
 
 def main() -> None:
     """Command line of the experiment."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--step-deg", type=int, default=20, help="yaw step of the validation frames [deg]")
-    parser.add_argument("--segmenters", default="; ".join(NAMES), help="which, separated by semicolons")
+    parser.add_argument("--segmenters", default=",".join(available()), help="which, separated by commas")
     settings = parser.parse_args()
     frames = paper_frames(VALIDATION_SEED, yaw_offset_deg=5.0, step_deg=settings.step_deg)
     mesh = sj.objects.target()
-    for name in settings.segmenters.split("; "):
+    for name in settings.segmenters.split(","):
         scores: dict[bool, list[float]] = {True: [], False: []}
         for frame in tqdm(frames, desc=name, unit="frame"):
             sonar = sonar_for(frame.tilt_deg)

@@ -17,12 +17,17 @@ from sonarjax.segment import SEGMENTERS, semantic_map
 from sonarjax.segment.weights import GeneratorWeights, load_generator
 from sonarjax.segment.whole import segment_frame
 
-DISCRIMINATIVE, TILES, TRUTH = "discriminative", "pix2pix, tiles", "truth"
+DISCRIMINATIVE, TILES, TRUTH = "discriminative", "pix2pix-tiles", "truth"
 DISCRIMINATIVE_WEIGHTS = Path(__file__).with_name("discriminative.safetensors")
 OWN_THRESHOLDS = {TRUTH: 0.5, DISCRIMINATIVE: 0.5, TILES: 0.5}
 """Least score of an identified target, from validation frames of experiments/fit_threshold.py."""
 NAMES = (TRUTH, "pix2pix", TILES, DISCRIMINATIVE, *(name for name in SEGMENTERS if name != "pix2pix"))
-"""All that are compared: `truth` is the true map, `pix2pix, tiles` the network without its closer looks."""
+"""All that are compared: `truth` is the true map, `pix2pix-tiles` the network without its closer looks."""
+
+
+def available() -> tuple[str, ...]:
+    """The names whose weights are there."""
+    return tuple(name for name in NAMES if name != DISCRIMINATIVE or DISCRIMINATIVE_WEIGHTS.exists())
 
 
 def map_of(name: str, frame: TestFrame) -> np.ndarray:

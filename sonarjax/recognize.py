@@ -35,6 +35,9 @@ REFINEMENT: dict[str, Any] = {
     "sharpness": 0.0,
 }
 """How `recognize` calls `refine_yaw`."""
+REFINED_AGAIN = ("pix2pix",)
+"""Segmenters after which refining goes on with the frame itself: a network's map is sure of what is where, but its
+edges are blunt (on validation frames the median error is a third, see experiments/fit_refinement.py)."""
 SAME_YAW = math.radians(8.0)  # refined hypotheses closer than this are one
 THRESHOLDS = {"pix2pix": 0.830, "none": 0.550, "otsu": 0.614, "otsu1": 0.492, "otsu3": 0.513, "median-otsu": 0.623}
 """Least score of an identified target, for each segmenter; validation frames of experiments/fit_threshold.py."""
@@ -63,7 +66,7 @@ class Recognition:
     score_bank: float
     """Largest NCC over the bank's yaw bins."""
     score_refined: float | None
-    """NCC of the best refined template; None without refinement."""
+    """NCC of the best refined template with what it was refined on; None without refinement."""
     threshold: float
     """Least score of an identified target."""
     yaw_bin: float
@@ -255,6 +258,8 @@ def recognize(
         turned = starts + np.array(between) * (2 * math.pi / len(scores))
         pose = Pose(np.full(HYPOTHESES, x), np.full(HYPOTHESES, y), turned)
         estimate = refine_yaw(semantic, mesh, sonar, pose, mask=mask, **REFINEMENT)
+        if segmenter in REFINED_AGAIN:
+            estimate = refine_yaw(image, mesh, sonar, estimate.pose, mask=mask, **REFINEMENT)
         hypotheses = _hypotheses(*(np.asarray(v) for v in (estimate.yaw, estimate.score, estimate.yaw_std)))
         x, y = _place_of_best(estimate)
     limit = THRESHOLDS[segmenter] if threshold is None else float(threshold)

@@ -7,6 +7,7 @@ stored as grey, 0 shadow, 128 background, 255 highlight, so that people can look
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import os
@@ -50,6 +51,8 @@ def export_pairs(
     origin: dict[str, Any] = {} if settings is None else {"settings": dataclasses.asdict(settings)}
     if key is not None:
         origin["key"] = np.asarray(jax.random.key_data(key)).tolist()
+    with contextlib.suppress(OSError):
+        (target / MANIFEST).unlink()  # of an older export
     lines = []
     for index, (image, labels) in enumerate(zip(np.asarray(pairs.image), np.asarray(pairs.labels), strict=True)):
         names = {"image": f"image_{index:05d}.png", "labels": f"labels_{index:05d}.png"}

@@ -34,9 +34,17 @@ def threshold_labels(
     return np.where(measured, labels, 0).astype(np.uint8)
 
 
-def to_grey(labels: Any) -> Float[np.ndarray, "range beam"]:
-    """Labels (range, beam) as one grey image: shadow 0, background 0.5, highlight 1."""
+def to_grey(labels: Any) -> Float[np.ndarray, "*batch range beam"]:
+    """Labels (..., range, beam) as grey images: shadow 0, background 0.5, highlight 1."""
     return GREY[np.asarray(labels)]
+
+
+def from_grey(grey: Any) -> Any:
+    """Labels of a grey map of any shape, of NumPy or JAX: highlight above 3/4, shadow below 1/4, else background.
+
+    Where a network doubts between two classes this is the likelier one; where between three, background.
+    """
+    return ((grey > 0.75) + 2 * (grey < 0.25)).astype(np.uint8)
 
 
 def _thresholds(values: Float[np.ndarray, " pixel"], name: str) -> tuple[float, float]:

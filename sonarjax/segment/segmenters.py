@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.segment.classical import CLASSICAL, threshold_labels, to_grey
+from sonarjax.segment.classical import CLASSICAL, from_grey, threshold_labels, to_grey
 from sonarjax.segment.weights import load_generator
 from sonarjax.segment.whole import segment_frame
 
@@ -27,8 +27,7 @@ def segment(
     check_segmenter(name)
     if name != "pix2pix":
         return threshold_labels(image, name, mask)
-    grey = segment_frame(load_generator(), image, mask)
-    return np.where(grey > 0.75, 1, np.where(grey < 0.25, 2, 0)).astype(np.uint8)
+    return from_grey(segment_frame(load_generator(), image, mask))
 
 
 def semantic_map(

@@ -17,7 +17,7 @@ from typing import Any, Literal
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, UInt8
+from jaxtyping import Array, Float
 
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.safetensors import read_safetensors, write_safetensors
@@ -125,18 +125,3 @@ def segment_patch(
     """
     output = weights.module.apply(weights.variables, 2 * images[..., None] - 1)
     return (to_grey(jnp.asarray(output))[..., 0] + 1) / 2
-
-
-@jax.jit
-def label_patch(
-    weights: GeneratorWeights, images: Float[Array, "patch height width"]
-) -> UInt8[Array, "patch height width"]:
-    """Labels of `images`, both (patch, height, width): the likeliest class, or the nearest of the three greys.
-
-    Raises SonarjaxError as `segment_patch` does.
-    """
-    output = jnp.asarray(weights.module.apply(weights.variables, 2 * images[..., None] - 1))
-    if output.shape[-1] == 3:
-        return output.argmax(-1).astype(jnp.uint8)
-    grey = output[..., 0]
-    return jnp.where(grey > 0.5, 1, jnp.where(grey < -0.5, 2, 0)).astype(jnp.uint8)

@@ -5,11 +5,15 @@ from __future__ import annotations
 import signal
 import socket
 
+import jax
 import numpy as np
 import pytest
 from safetensors.numpy import load_file
 
+from sonarjax.segment.step import create_state
 from sonarjax.segment.training import train
+from sonarjax.segment.training.checkpoint import Checkpoints
+from sonarjax.segment.training.devices import copied, device_mesh
 from tests.segment.training_runs import QUICK, end, plain_pairs, recorded, start, tiny_recipe
 
 EIGHT = f"{QUICK} --xla_force_host_platform_device_count=8"
@@ -36,8 +40,20 @@ def test_killed_at_random_steps_and_resumed(folder, alone, tmp_path, rng):
     end(start(folder, run, "kill_in_save", saving), -signal.SIGKILL)
     end(start(folder, run))
     assert (run / "weights.safetensors").read_bytes() == (alone / "weights.safetensors").read_bytes()
+    for one, other in zip(
+        jax.tree.leaves(last_state(run, folder)), jax.tree.leaves(last_state(alone, folder)), strict=True
+    ):
+        assert np.asarray(one).tobytes() == np.asarray(other).tobytes()  # float32, and Adam's averages
     assert recorded(run) == recorded(alone)
     assert [line["step"] for line in recorded(run)] == [4, 8, 12]
+
+
+def last_state(run, folder):
+    """Everything that the last checkpoint of a run holds."""
+    networks = tiny_recipe(folder).networks
+    state = create_state(networks, key=jax.random.key(0))
+    with Checkpoints(run / "checkpoints") as checkpoints:
+        return checkpoints.restore(state, copied(device_mesh(8)))
 
 
 def test_resuming_what_is_done_changes_nothing(folder, alone):
@@ -51,7 +67,7 @@ def test_resuming_what_is_done_changes_nothing(folder, alone):
 
 
 def test_eight_devices_have_the_losses_of_one(folder, alone, tmp_path):
-    end(start(folder, tmp_path / "eight", XLA_FLAGS=EIGHT))
+    end(start(folder, tmp_path / "eight", XLA_FLAGS=EIGHT, EXPECTED_DEVICES="8"))
     assert_same_losses(recorded(tmp_path / "eight"), recorded(alone))
 
 
@@ -59,7 +75,12 @@ def test_two_processes_have_the_losses_of_one(folder, alone, tmp_path):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         address = f"127.0.0.1:{free.getsockname()[1]}"
-    shared = {"SONARJAX_COORDINATOR": address, "SONARJAX_PROCESSES": "2"}
+    shared = {
+        "SONARJAX_COORDINATOR": address,
+        "SONARJAX_PROCESSES": "2",
+        "EXPECTED_DEVICES": "2",
+        "EXPECTED_PROCESSES": "2",
+    }
     both = [start(folder, tmp_path / "two", SONARJAX_PROCESS=str(number), **shared) for number in range(2)]
     for process in both:
         end(process)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from sonarjax.data import Pairs
+from sonarjax.data import Pairs, split_key
 from sonarjax.io import SonarjaxError
 from sonarjax.segment.step import create_state
 from sonarjax.segment.training import PRESETS, Recipe, batches, discriminative, find_recipe, loop, train
@@ -102,7 +102,7 @@ def cheap_pairs(monkeypatch):
     made = []
 
     def make(count, settings, *, key, first=0):
-        made.append((first, count))
+        made.append((first, count, jax.random.key_data(key).tolist()))
         shade = (first + np.arange(count) + 100 * int(jax.random.key_data(key)[1] % 2)) % 256
         image = np.broadcast_to(shade[:, None, None] / 255, (count, 128, 128))
         return Pairs(jnp.asarray(image, jnp.float32), jnp.zeros(image.shape, jnp.uint8))
@@ -143,7 +143,16 @@ def test_mirrored_and_plain_pairs(folder, mirrored, plain):
     assert all(kept)
 
 
-def test_pairs_of_validation_are_no_pairs_of_training(folder, cheap_pairs):
+def test_pairs_are_made_from_the_keys_of_their_split(cheap_pairs):
+    recipe = Recipe(batch=4, pairs=8, validation_pairs=8, run_seed=3)
+    validation_set(recipe)
+    with Batches(recipe) as batches_of_it:
+        batches_of_it.batch(0)
+    keys = [jax.random.key_data(split_key(3, split)).tolist() for split in ("validation", "train")]
+    assert [key for _, _, key in cheap_pairs] == keys
+
+
+def test_pairs_of_validation_are_no_pairs_of_training(folder):
     shown = validation_set(tiny_recipe(folder)).image
     with Batches(tiny_recipe(folder, mirrored=0.0, plain=0.0)) as from_folder:
         trained = np.concatenate([from_folder.batch(step).image for step in range(4)])
@@ -187,7 +196,7 @@ def test_discriminative_model_is_trained_on_labels(folder):
     pairs = [jax.ShapeDtypeStruct((8, 128, 128), jnp.uint8)] * 2
     after, losses = jax.eval_shape(make_step(recipe, device_mesh(8)), state, *pairs, np.zeros(2, np.uint32))
     assert set(losses) == {"cross_entropy"}
-    grey, labels = jax.eval_shape(
+    grey = jax.eval_shape(
         lambda weights, image: predict(recipe.networks, weights, image), after.weights(), jnp.zeros((2, 128, 128))
     )
-    assert grey.shape == labels.shape == (2, 128, 128) and labels.dtype == jnp.uint8
+    assert grey.shape == (2, 128, 128)

@@ -34,10 +34,10 @@ def scene(shape=(512, 96)) -> np.ndarray:
     row, column = np.arange(shape[0])[:, None], np.arange(shape[1])
 
     def bump(center, width):
-        return np.exp(-(((row - center[0]) / width[0]) ** 2) - ((column - center[1]) / width[1]) ** 2)
+        return np.exp(-(((row - center[0]) / width[0]) ** 4) - ((column - center[1]) / width[1]) ** 4)
 
     near, beam = 0.4 * shape[0], 0.5 * shape[1]
-    grey = 0.5 + 0.5 * bump((near, beam), (12, 5)) - 0.5 * bump((near + 27, beam), (20, 5))
+    grey = 0.5 + 0.5 * bump((near, beam), (12, 6)) - 0.5 * bump((near + 28, beam), (20, 6))
     return grey.astype(np.float32)
 
 

@@ -113,6 +113,11 @@ if __name__ == "__main__":
     pairs, run_dir, *order = sys.argv[1:]
     if order:
         {"kill_at_step": kill_at_step, "kill_in_save": kill_in_save}[order[0]](int(order[1]))
+    import jax
+
     from sonarjax.segment.training import train
 
     train(tiny_recipe(pairs), run_dir, resume=True)
+    found = {"devices": jax.device_count(), "processes": jax.process_count()}
+    wanted = {name: int(os.environ.get(f"EXPECTED_{name.upper()}", 1)) for name in found}
+    assert found == wanted, f"expected {wanted}, ran on {found}"

@@ -64,7 +64,8 @@ def train(preset: str | Recipe, run_dir: str | os.PathLike[str], resume: bool = 
     """Follow a recipe, by name or as it is, and leave checkpoints, records and weights in `run_dir`.
 
     With `resume` a run that was killed goes on from its last checkpoint, to the same weights. Ctrl-C or SIGTERM ends
-    it after the current step, with a checkpoint. On all devices and, see `devices`, all processes.
+    it after the current step, with a checkpoint. On all devices and, see `devices`, all processes. The process
+    keeps its memory from then on (see `memory`).
     Raises SonarjaxError for a recipe or folder that cannot be used, and when a loss is not finite or has diverged:
     the last checkpoint from before that is kept.
     """
@@ -160,15 +161,16 @@ class _Run:
     def _diverged(self, what: str) -> SonarjaxError:
         kept = self.checkpoints.latest
         last = "there is no checkpoint yet" if kept is None else f"the last good checkpoint is that of step {kept}"
-        return SonarjaxError(f"{self.folder}: training stopped at step {self.step}: {what}; {last}")
+        advice = "resuming would meet it again: start another folder with a lower learning_rate"
+        return SonarjaxError(f"{self.folder}: training stopped at step {self.step}: {what}; {last}; {advice}")
 
     def _judge(self) -> tuple[dict[str, float], np.ndarray]:
         """Validation metrics of the averaged generator, and its grey maps."""
         if self.validation is None:
             self.validation = validation_set(self.recipe)
         weights = local_copy(self.state.weights())
-        grey, labels = predict_all(self.recipe.networks, weights, self.validation)
-        return score(grey, labels, self.validation), grey
+        grey = predict_all(self.recipe.networks, weights, self.validation)
+        return score(grey, self.validation), grey
 
     def _write_weights(self) -> Path:
         """The averaged generator as a file, written by the first process."""
