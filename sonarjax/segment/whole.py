@@ -42,10 +42,10 @@ def segment_frame(
 ) -> Float[np.ndarray, "range beam"]:
     """Semantic grey (range, beam) of a frame (range, beam) in [0, 1]: shadow 0, background 0.5, highlight 1.
 
-    Pixels outside `mask` are background, and dark to the network, as floor that is not lit is. `closer` False stops
-    after the tiles.
+    Pixels outside `mask` are background. The network sees the median of what was measured there: floor, mostly. Dark
+    pixels would make a highlight of the floor beside them. `closer` False stops after the tiles.
     """
-    seen = jnp.asarray(image if mask is None else np.where(mask, image, 0.0), jnp.float32)
+    seen = jnp.asarray(image if mask is None else np.where(mask, image, _middle(image[mask])), jnp.float32)
     grey = np.array(_through_boxes(weights, seen, _tiles(seen.shape)))
     if mask is not None:
         grey = np.where(mask, grey, np.float32(0.5))
@@ -54,6 +54,10 @@ def segment_frame(
         inside = pixels_inside(box)
         grey[inside] = looked[inside]
     return grey if mask is None else np.where(mask, grey, np.float32(0.5))
+
+
+def _middle(values: Float[np.ndarray, " pixel"]) -> float:
+    return float(np.median(values)) if values.size else 0.5
 
 
 def _tiles(shape: tuple[int, ...]) -> tuple[Box, ...]:

@@ -70,13 +70,18 @@ def test_two_objects_and_an_empty_frame(handing_on):
     assert handing_on == [6, 2, 2]
 
 
-def test_what_was_not_measured_is_dark_to_the_network_and_background_after_it(handing_on):
+def test_what_was_not_measured_is_floor_to_the_network_and_background_after_it(handing_on, monkeypatch):
     image, mask = scene(), np.ones((512, 96), bool)
     mask[:, :20] = False
     image[:, :20] = np.nan
-    grey = segment_frame(NO_WEIGHTS, image, mask)
+    image[:, 20:] -= 0.2  # a darker floor
+    through, seen = whole._through_boxes, []
+    monkeypatch.setattr(whole, "_through_boxes", lambda *given: seen.append(given[1]) or through(*given))
+    grey = segment_frame(NO_WEIGHTS, image, mask, closer=False)
     assert (grey[:, :20] == 0.5).all()
     np.testing.assert_allclose(grey[:, 24:], image[:, 24:], atol=0.05)
+    np.testing.assert_allclose(np.asarray(seen[0])[:, :20], 0.3, atol=1e-6)
+    assert (segment_frame(NO_WEIGHTS, image, np.zeros_like(mask)) == 0.5).all()
 
 
 def test_box_around_stays_in_the_frame_and_is_never_thin():
