@@ -1,7 +1,7 @@
 """All speed benchmarks and one table of what was asked of each: `make bench`.
 
-python -m experiments.bench_all [--smoke]: runs bench_render, bench_match and bench_refine, prints their tables, then
-measured numbers beside floor and aim. Ratios above 1 say that ours is faster than the peer.
+python -m experiments.bench_all [--smoke]: runs bench_render, bench_match, bench_refine and bench_train, prints their
+tables, then measured numbers beside floor and aim. Ratios above 1 say that ours is faster than the peer.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import os
 from dataclasses import dataclass
 from typing import Any
 
-from experiments import bench_match, bench_refine, bench_render
+from experiments import bench_match, bench_refine, bench_render, bench_train
 from experiments.bench_render import parse
 
 
@@ -50,8 +50,8 @@ class Bar:
         return "floor" if reaches(self.floor) else "MISSED"
 
 
-def bars(render: dict[str, Any], match: dict[str, Any], refine: dict[str, Any]) -> list[Bar]:
-    """The issue's floors and aims, in its order."""
+def bars(render: dict[str, Any], match: dict[str, Any], refine: dict[str, Any], train: dict[str, Any]) -> list[Bar]:
+    """The issues' floors and aims, in their order."""
     none = math.nan
     embree = [v for name, v in render["bank"]["ratio"].items() if name in bench_peers()]
     big = render["big"]["ratio"].get("Embree, rays turned", none)
@@ -71,6 +71,23 @@ def bars(render: dict[str, Any], match: dict[str, Any], refine: dict[str, Any]) 
         Bar(f"{batch['name']}, a frame", 1e3 * batch["seconds"], "ms", 80.0, 20.0, False),
         Bar("value + gradient / forward render", refine["gradient_ratio"], "x", 5.0, 3.0, False),
         Bar("recognize without refinement", refine["recognize_rate"], "/s", 21.0, none, True),
+        *_train_bars(train),
+    ]
+
+
+def _train_bars(train: dict[str, Any]) -> list[Bar]:
+    """pix2pix: images/s over PyTorch's, a patch of the shipped width, and pairs made for each that is trained on."""
+    found, rows = [], train["rows"]
+    for row in rows:
+        if row["work"] != "one patch":
+            name = f"{row['work']}, width {row['width']}: ours / PyTorch"
+            found.append(Bar(name, bench_train.ratio(row), "x", 1.0, 1.5, True))
+    thinnest = {row["work"]: row for row in rows if row["width"] == rows[0]["width"]}
+    patch, trained = thinnest["one patch"]["seconds"]["ours"], thinnest["training"]["images"]["ours"]
+    return [
+        *found,
+        Bar(f"one patch, width {rows[0]['width']}", 1e3 * patch, "ms", 5.0, math.nan, False),
+        Bar("pairs made / trained on", train["pairs"] / trained, "x", 1.0, math.nan, True),
     ]
 
 
@@ -84,22 +101,23 @@ def _ratio(match: dict[str, Any], count: int, name: str) -> float:
 
 
 def run(settings: Settings) -> dict[str, Any]:
-    """The three reports, and the bars made of them; the machine's load before and after."""
+    """The four reports, and the bars made of them; the machine's load before and after."""
     load = os.getloadavg()[0]
     parts = {
         "render": bench_render.run(bench_render.Settings(smoke=settings.smoke)),
         "match": bench_match.run(bench_match.Settings(smoke=settings.smoke)),
         "refine": bench_refine.run(bench_refine.Settings(smoke=settings.smoke)),
+        "train": bench_train.run(bench_train.Settings(smoke=settings.smoke)),
     }
     return {**parts, "bars": bars(**parts), "load": (load, os.getloadavg()[0]), "cores": os.cpu_count()}
 
 
 def table(report: dict[str, Any]) -> str:
-    """The three tables and the bars as text."""
+    """The four tables and the bars as text."""
     before, after = report["load"]
     lines = [
         bench_render.table(report["render"]), "", bench_match.table(report["match"]), "",
-        bench_refine.table(report["refine"]), "",
+        bench_refine.table(report["refine"]), "", bench_train.table(report["train"]), "",
         f"{'bar':<44} {'measured':>10}    {'floor':>7} {'aim':>6}  reached   "
         f"(load {before:.1f} to {after:.1f} on {report['cores']} cores)",
     ]  # fmt: skip

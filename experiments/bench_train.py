@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import math
 import os
 import subprocess
 import sys
@@ -158,7 +159,7 @@ def run(settings: Settings) -> dict[str, Any]:
             seconds = {side: best[side][k] for side in sides}
             rows.append({"width": width, "work": work, "seconds": seconds, "images": _images(seconds, work, settings)})
     used = 1 if settings.one_core else cores()
-    pairs = 0.0 if settings.smoke else 1 / in_process("pairs", 0, settings)[0]
+    pairs = math.nan if settings.smoke else 1 / in_process("pairs", 0, settings)[0]
     return {"rows": rows, "pairs": pairs, "batch": settings.batch, "load": (load, os.getloadavg()[0]), "cores": used}
 
 
