@@ -19,7 +19,7 @@ from sonarjax.segment.whole import segment_frame
 
 DISCRIMINATIVE, TILES, TRUTH = "discriminative", "pix2pix-tiles", "truth"
 DISCRIMINATIVE_WEIGHTS = Path(__file__).with_name("discriminative.safetensors")
-OWN_THRESHOLDS = {TRUTH: 0.5, DISCRIMINATIVE: 0.5, TILES: 0.5}
+OWN_THRESHOLDS = {TRUTH: 0.837, DISCRIMINATIVE: 0.5, TILES: 0.854}
 """Least score of an identified target, from validation frames of experiments/fit_threshold.py."""
 NAMES = (TRUTH, "pix2pix", TILES, DISCRIMINATIVE, *(name for name in SEGMENTERS if name != "pix2pix"))
 """All that are compared: `truth` is the true map, `pix2pix-tiles` the network without its closer looks."""

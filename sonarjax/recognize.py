@@ -39,7 +39,14 @@ REFINED_AGAIN = ("pix2pix",)
 """Segmenters after which refining goes on with the frame itself: a network's map is sure of what is where, but its
 edges are blunt (on validation frames the median error is a third, see experiments/fit_refinement.py)."""
 SAME_YAW = math.radians(8.0)  # refined hypotheses closer than this are one
-THRESHOLDS = {"pix2pix": 0.830, "none": 0.550, "otsu": 0.614, "otsu1": 0.492, "otsu3": 0.513, "median-otsu": 0.623}
+THRESHOLDS = {
+    "pix2pix": 0.822,
+    "none": 0.528,
+    "otsu": 0.571,
+    "otsu1": 0.382,
+    "otsu3": 0.463,
+    "median-otsu": 0.610,
+}
 """Least score of an identified target, for each segmenter; validation frames of experiments/fit_threshold.py."""
 
 
