@@ -44,7 +44,7 @@ class Way(NamedTuple):
     """One way to refine."""
 
     on: str
-    """`map`, `frame`, or `both`: the map first, then the frame."""
+    """`map`, `frame`, or `both`: the map first, as `REFINEMENT` has it, then the frame."""
     blurs: tuple[float, ...]
     sharpness: float
     margin: tuple[int, int] | None
@@ -52,7 +52,8 @@ class Way(NamedTuple):
     def is_used(self, segmenter: str) -> bool:
         """Whether `recognize` does so."""
         on = "frame" if segmenter == "none" else "both" if segmenter in REFINED_AGAIN else "map"
-        return self.on == on and self._asdict().items() >= {k: REFINEMENT[k] for k in self._fields[1:]}.items()
+        used = REFINED_AGAIN.get(segmenter, REFINEMENT)
+        return self.on == on and self._asdict().items() >= {name: used[name] for name in self._fields[1:]}.items()
 
 
 def errors(segmenter: str, settings: Settings) -> dict[Way, np.ndarray]:
@@ -64,12 +65,13 @@ def errors(segmenter: str, settings: Settings) -> dict[Way, np.ndarray]:
         sonar, semantic = sonar_for(frame.tilt_deg), map_of(segmenter, frame)
         start = sj.recognize(semantic, mesh, sonar, segmenter="none", refine=False)
         pose = sj.Pose(start.x, start.y, start.yaw)
+        first = sj.refine_yaw(semantic, mesh, sonar, pose, **REFINEMENT).pose
         for setting in itertools.product(BLURS, SHARPNESSES, MARGINS):
             changed = REFINEMENT | dict(zip(Way._fields[1:], setting, strict=True))
             estimates = {"frame": sj.refine_yaw(frame.image, mesh, sonar, pose, **changed)}
             if segmenter != "none":
                 estimates["map"] = sj.refine_yaw(semantic, mesh, sonar, pose, **changed)
-                estimates["both"] = sj.refine_yaw(frame.image, mesh, sonar, estimates["map"].pose, **changed)
+                estimates["both"] = sj.refine_yaw(frame.image, mesh, sonar, first, **changed)
             for on, estimate in estimates.items():
                 gap = math.remainder(float(estimate.yaw) - frame.yaw, 2 * math.pi)
                 found[Way(on, *setting)].append(abs(math.degrees(gap)))
