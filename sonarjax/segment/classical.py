@@ -35,7 +35,7 @@ def threshold_labels(
 
 
 def to_grey(labels: Any) -> Float[np.ndarray, "*batch range beam"]:
-    """Labels (..., range, beam) as grey images: shadow 0, background 0.5, highlight 1."""
+    """Labels (range, beam), or a stack of such, as grey images: shadow 0, background 0.5, highlight 1."""
     return GREY[np.asarray(labels)]
 
 
