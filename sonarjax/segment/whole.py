@@ -8,7 +8,6 @@ taken as it is and mirrored, and the mean of both answers counts.
 from __future__ import annotations
 
 import math
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -46,7 +45,7 @@ def segment_frame(
     pixels would make a highlight of the floor beside them. `closer` False stops after the tiles.
     """
     seen = jnp.asarray(image if mask is None else np.where(mask, image, _middle(image[mask])), jnp.float32)
-    grey = np.array(_through_boxes(weights, seen, _tiles(seen.shape)))
+    grey = np.array(_through_tiles(weights, seen, jnp.asarray(_tiles(seen.shape))))
     if mask is not None:
         grey = np.where(mask, grey, np.float32(0.5))
     for box in _objects(grey) if closer else []:
@@ -60,28 +59,35 @@ def _middle(values: Float[np.ndarray, " pixel"]) -> float:
     return float(np.median(values)) if values.size else 0.5
 
 
-def _tiles(shape: tuple[int, ...]) -> tuple[Box, ...]:
-    """Boxes that cover a frame, neighbours half over one another."""
+def _tiles(shape: tuple[int, ...]) -> Float[np.ndarray, "tile 4"]:
+    """Boxes (tile, 4) that cover a frame, neighbours half over one another; the columns are the fields of `Box`."""
     starts = []
     for size, tile in zip(shape, TILE, strict=True):
         count = max(-(-2 * (size - tile) // tile), 0) + 1
-        starts.append(np.linspace(0.0, max(size - tile, 0), count))
-    rows, columns = (float(min(size, tile)) for size, tile in zip(shape, TILE, strict=True))
-    return tuple(Box(float(top), float(left), rows, columns) for top in starts[0] for left in starts[1])
+        starts.append(np.linspace(0.0, max(size - tile, 0), count, dtype=np.float32))
+    tops, lefts = (edges.ravel() for edges in np.meshgrid(*starts, indexing="ij"))
+    rows, columns = (np.full(tops.shape, min(size, tile), np.float32) for size, tile in zip(shape, TILE, strict=True))
+    return np.stack([tops, lefts, rows, columns], axis=1)
 
 
-@partial(jax.jit, static_argnames="boxes")
-def _through_boxes(
-    weights: GeneratorWeights, image: Float[Array, "range beam"], boxes: tuple[Box, ...]
+@jax.jit
+def _through_tiles(
+    weights: GeneratorWeights, image: Float[Array, "range beam"], tiles: Float[Array, "tile 4"]
 ) -> Float[Array, "range beam"]:
-    """The maps of all boxes, blended: each counts most in its middle."""
-    patches = segment_patch(weights, jnp.stack([cut_box(image, box) for box in boxes]))
+    """The maps of all tiles, blended: each counts most in its middle."""
     ramps = [np.minimum(np.arange(n) + 0.5, n - np.arange(n) - 0.5) / n for n in PATCH]
     weight = jnp.asarray(ramps[0][:, None] * ramps[1], jnp.float32)
     shape = image.shape[0], image.shape[1]
-    shares = jnp.stack([paste_patch(weight, box, shape, 0.0) for box in boxes])
-    pasted = jnp.stack([paste_patch(patch, box, shape) for patch, box in zip(patches, boxes, strict=True)])
-    return (shares * pasted).sum(0) / shares.sum(0)
+
+    # One after the other: compiled once, however many there are, and only two frames of memory.
+    def add(sums: tuple[Array, Array], tile: Array) -> tuple[tuple[Array, Array], None]:
+        box = Box(*tile)
+        share = paste_patch(weight, box, shape, 0.0)
+        pasted = paste_patch(segment_patch(weights, cut_box(image, box)[None])[0], box, shape)
+        return (sums[0] + share * pasted, sums[1] + share), None
+
+    (total, shares), _ = jax.lax.scan(add, (jnp.zeros(shape), jnp.zeros(shape)), tiles)
+    return total / shares
 
 
 @jax.jit
