@@ -42,7 +42,8 @@ def to_grey(labels: Any) -> Float[np.ndarray, "*batch range beam"]:
 def from_grey(grey: Any) -> Any:
     """Labels of a grey map of any shape, of NumPy or JAX: highlight above 3/4, shadow below 1/4, else background.
 
-    Where a network doubts between two classes this is the likelier one; where between three, background.
+    Where a network doubts between background and another class this is the likelier one; where between highlight and
+    shadow, it is background.
     """
     return ((grey > 0.75) + 2 * (grey < 0.25)).astype(np.uint8)
 
