@@ -23,8 +23,8 @@ import numpy as np
 from tqdm import tqdm
 
 import sonarjax as sj
+from experiments.common.frames import GROUND_RANGE_M, TILTS_DEG, sonar_for
 from experiments.fit_threshold import VALIDATION_SEED
-from experiments.frames import GROUND_RANGE_M, TILTS_DEG, sonar_for
 from sonarjax.sensor import SensorModel, observe_scene
 
 PAPER_OWN = (0.5972, 0.6446, 0.4726, 0.5735)

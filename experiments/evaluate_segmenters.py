@@ -20,8 +20,8 @@ from tqdm import tqdm
 
 import sonarjax as sj
 from experiments.bench_render import parse
-from experiments.frames import TestFrame, paper_frames, sonar_for
-from experiments.segmenters import available, map_of, threshold_of
+from experiments.common.frames import TestFrame, paper_frames, sonar_for
+from experiments.common.segmenters import available, map_of, threshold_of
 from sonarjax.data import Box, cut_box
 from sonarjax.data.crops import MARGIN, MARGIN_OF_FRAME
 from sonarjax.io import write_text

@@ -18,9 +18,9 @@ from tqdm import tqdm
 
 import sonarjax as sj
 from experiments.bench_render import parse
+from experiments.common.frames import paper_frames, sonar_for
+from experiments.common.segmenters import map_of
 from experiments.fit_threshold import VALIDATION_SEED
-from experiments.frames import paper_frames, sonar_for
-from experiments.segmenters import map_of
 from sonarjax.recognize import REFINED_AGAIN, REFINEMENT
 
 BLURS = ((2.0, 0.8), (4.0, 1.5), (1.0, 0.5))

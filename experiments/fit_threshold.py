@@ -1,6 +1,6 @@
 """Thresholds of eq. 5 from validation frames (another seed than the test's): the midpoint that errs least.
 
-Prints what stands in `sonarjax.recognize.THRESHOLDS` and `experiments.segmenters`. Test frames play no part.
+Prints what stands in `sonarjax.recognize.THRESHOLDS` and `experiments.common.segmenters`. Test frames play no part.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ import numpy as np
 from tqdm import tqdm
 
 import sonarjax as sj
-from experiments.frames import paper_frames, sonar_for
-from experiments.segmenters import available, map_of
+from experiments.common.frames import paper_frames, sonar_for
+from experiments.common.segmenters import available, map_of
 
 VALIDATION_SEED = 1000
 

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.bench_render import parse
-from experiments.frames import GROUND_RANGE_M, sonar_for
+from experiments.common.frames import GROUND_RANGE_M, sonar_for
 from sonarjax.refine import refine_yaw
 from sonarjax.render import Window, place_window, render_window, window_shape
 from sonarjax.scene import Mesh, Pose

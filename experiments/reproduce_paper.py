@@ -17,7 +17,7 @@ import numpy as np
 from tqdm import tqdm
 
 import sonarjax as sj
-from experiments.frames import TestFrame, paper_frames, sonar_for
+from experiments.common.frames import TestFrame, paper_frames, sonar_for
 from sonarjax.io import write_text
 from sonarjax.plot import plot_polar, save_figure
 

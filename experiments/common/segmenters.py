@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.frames import TestFrame
+from experiments.common.frames import TestFrame
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.recognize import THRESHOLDS
 from sonarjax.segment import SEGMENTERS, semantic_map
@@ -19,7 +19,7 @@ from sonarjax.segment.weights import GeneratorWeights, load_generator
 from sonarjax.segment.whole import segment_frame
 
 DISCRIMINATIVE, TILES, TRUTH = "discriminative", "pix2pix-tiles", "truth"
-DISCRIMINATIVE_WEIGHTS = Path(__file__).with_name("discriminative.safetensors")
+DISCRIMINATIVE_WEIGHTS = Path(__file__).resolve().parents[1] / "discriminative.safetensors"
 OWN_THRESHOLDS = {TRUTH: 0.837, TILES: 0.854}
 """Least score of an identified target, from validation frames of experiments/fit_threshold.py; the discriminative
 model's belongs here too once its weights do."""

@@ -1,0 +1,87 @@
+"""Recognize many frames and judge what was found: the metrics that most experiments report."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+
+import sonarjax as sj
+from experiments.common.frames import TestFrame, sonar_for
+from experiments.common.metrics import HALF_BIN_DEG, accuracy, best_accuracy, summary_deg, yaw_error_deg
+
+
+class Found(NamedTuple):
+    """What `recognize` made of frames; arrays (frame,)."""
+
+    score: np.ndarray
+    """Largest correlation over the bank (eq. 5) [1]."""
+    is_target: np.ndarray
+    """Whether the frame shows the target."""
+    bin_error_deg: np.ndarray
+    """Error of the best template's yaw [deg]."""
+    error_deg: np.ndarray
+    """Error of the yaw reported [deg]: refined where that was asked for."""
+    yaw_std_deg: np.ndarray
+    """Standard deviation reported with it [deg], NaN without refinement."""
+    threshold: float
+    """Least score of an identified target."""
+    results: list[sj.Recognition]
+    """All that was found, frame by frame."""
+
+
+@cache
+def target() -> sj.Mesh:
+    """The paper's target: one mesh for all frames, whose banks `recognize` keeps."""
+    return sj.objects.target()
+
+
+def recognize_all(
+    frames: Sequence[TestFrame],
+    segmenter: str,
+    *,
+    refine: bool = False,
+    mesh: sj.Mesh | None = None,
+    sonar_of: Callable[[float], sj.Sonar] = sonar_for,
+) -> Found:
+    """Recognize the target (or `mesh`) in each frame, with the sonar that `sonar_of` gives for its tilt [deg].
+
+    Yaw is judged on the target alone: other frames are not refined.
+    """
+    sought = target() if mesh is None else mesh
+    results = [
+        sj.recognize(f.image, sought, sonar_of(f.tilt_deg), segmenter=segmenter, refine=refine and f.is_target)
+        for f in frames
+    ]
+    true = [f.yaw for f in frames]
+    return Found(
+        score=np.array([r.score for r in results]),
+        is_target=np.array([f.is_target for f in frames]),
+        bin_error_deg=yaw_error_deg([r.yaw_bin for r in results], true),
+        error_deg=yaw_error_deg([r.yaw for r in results], true),
+        yaw_std_deg=np.degrees([np.nan if r.yaw_std is None else r.yaw_std for r in results]),
+        threshold=results[0].threshold,
+        results=results,
+    )
+
+
+def judged(found: Found) -> dict[str, float]:
+    """Accuracy at the threshold and at the best one, and what it is made of; yaw errors of the target's frames [deg]."""
+    own = found.is_target
+    right = found.bin_error_deg <= HALF_BIN_DEG
+    best, best_threshold = best_accuracy(found.score, right, own)
+    return {
+        "accuracy": accuracy(found.score, right, own, found.threshold),
+        "best_accuracy": best,
+        "best_threshold": best_threshold,
+        "threshold": found.threshold,
+        "identified": float((found.score[own] >= found.threshold).mean()),
+        "refused": float((found.score[~own] < found.threshold).mean()),
+        "bin_right": float(right[own].mean()),
+        "score_target": float(found.score[own].mean()),
+        "score_other": float(found.score[~own].mean()),
+        **{f"bin_{name}": value for name, value in summary_deg(found.bin_error_deg[own]).items()},
+        **{f"yaw_{name}": value for name, value in summary_deg(found.error_deg[own]).items()},
+    }

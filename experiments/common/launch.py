@@ -1,0 +1,139 @@
+"""How every experiment is started: `launch` makes a frozen dataclass of settings its command line, and runs it.
+
+`--preset smoke` is a run of seconds, `--seeds 0 1 2` several runs and their spread. Every field of the settings is an
+option; the string under the field is its help.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import inspect
+import sys
+import textwrap
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, fields
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Literal, get_args, get_origin, get_type_hints
+
+from experiments.common.runs import Job, circumstances, run_folder
+from sonarjax.io import SonarjaxError
+
+Report = dict[str, Any]
+Run = Callable[[Any, Job], Report]
+
+
+def launch(
+    run: Run,
+    settings: type,
+    table: Callable[[Report], str],
+    *,
+    smoke: Mapping[str, Any],
+    arguments: Sequence[str] | None = None,
+) -> list[Report]:
+    """Run an experiment from its command line: `run(settings, job)` for each seed, `table(report)` to the terminal.
+
+    `smoke` are the settings of `--preset smoke`. Leaves by SystemExit: 2 for arguments, 1 for a SonarjaxError, 130 when
+    interrupted.
+    """
+    module = inspect.getmodule(run)
+    assert module is not None and module.__file__ is not None
+    name = Path(module.__file__).stem
+    chosen, common = parse(settings, module.__doc__ or "", smoke, arguments)
+    reports = []
+    try:
+        for seed in common.seeds:
+            job = Job(run_folder(Path(common.runs), name, asdict(chosen), seed), seed)
+            reports.append(_one(run, chosen, job, common.preset, name))
+            print(f"\n{table(reports[-1])}\n\n{job.folder}: {reports[-1]['seconds']:.0f} s", flush=True)
+    except SonarjaxError as error:
+        raise SystemExit(f"{name}: {error}") from error
+    except KeyboardInterrupt:
+        print(f"{name}: interrupted; the same command goes on where it was", file=sys.stderr)
+        raise SystemExit(130) from None
+    if len(reports) > 1:
+        print(f"\nmean of seeds {', '.join(map(str, common.seeds))}\n{table(combined(reports, _mean))}")
+        print(f"\nlargest less smallest\n{table(combined(reports, _spread))}")
+    return reports
+
+
+def _one(run: Run, settings: Any, job: Job, preset: str, name: str) -> Report:
+    started = time.perf_counter()
+    facts = {"experiment": name, "preset": preset, "seed": job.seed, "settings": asdict(settings)} | circumstances()
+    report = facts | run(settings, job)
+    report["seconds"] = time.perf_counter() - started
+    job.finish(report)
+    return report
+
+
+def parse(
+    settings: type, about: str, smoke: Mapping[str, Any], arguments: Sequence[str] | None = None
+) -> tuple[Any, argparse.Namespace]:
+    """The settings that a command line asks for, and what all experiments take: preset, seeds, runs."""
+    parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--preset", choices=("full", "smoke"), default="full", help="smoke: a run of seconds")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0], help="root seeds, one run each (default: 0)")
+    parser.add_argument("--runs", default="runs", help="folder of the results (default: runs)")
+    helps, kinds = field_docstrings(settings), get_type_hints(settings)
+    for option in fields(settings):
+        text = f"{' '.join(helps[option.name].split())} (default: {_shown(option.default)})".replace("%", "%%")
+        parser.add_argument(
+            f"--{option.name.replace('_', '-')}", default=None, help=text, **_kind(kinds[option.name], option.default)
+        )
+    given = vars(parser.parse_args(arguments))
+    common = argparse.Namespace(**{name: given.pop(name) for name in ("preset", "seeds", "runs")})
+    start = dict(smoke) if common.preset == "smoke" else {}
+    asked = {k: tuple(v) if isinstance(v, list) else v for k, v in given.items() if v is not None}
+    try:
+        return settings(**start | asked), common
+    except (ValueError, SonarjaxError) as error:
+        parser.error(str(error))
+
+
+def _kind(kind: Any, default: Any) -> dict[str, Any]:
+    """What argparse needs to read a field of type `kind`."""
+    if kind is bool:
+        return {"action": argparse.BooleanOptionalAction}
+    if get_origin(kind) is Literal:
+        return {"choices": get_args(kind)}
+    if isinstance(default, tuple):
+        first = get_args(kind)[0]
+        one: dict[str, Any] = {"choices": get_args(first)} if get_origin(first) is Literal else {"type": first}
+        return one | {"nargs": "+"}
+    return {"type": kind}
+
+
+def _shown(default: Any) -> str:
+    return " ".join(map(str, default)) if isinstance(default, tuple) else str(default)
+
+
+def field_docstrings(settings: type) -> dict[str, str]:
+    """The string under each field of a dataclass. Raises KeyError, when read, for a field that has none."""
+    body = ast.parse(textwrap.dedent(inspect.getsource(settings))).body[0].body  # type: ignore[attr-defined]
+    return {
+        ast.unparse(field.target): str(below.value.value)
+        for field, below in pairwise(body)
+        if isinstance(field, ast.AnnAssign) and isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant)
+    }
+
+
+def combined(values: Sequence[Any], merge: Callable[[list[float]], float]) -> Any:
+    """Reports of several seeds as one: numbers merged, all else as in the first. Lists keep the shortest length."""
+    first = values[0]
+    if isinstance(first, dict):
+        return {k: combined([v[k] for v in values], merge) for k in first if all(k in v for v in values)}
+    if isinstance(first, list):
+        return [combined(rows, merge) for rows in zip(*values, strict=False)]
+    if isinstance(first, float):
+        return merge([v for v in values if isinstance(v, (int, float))])
+    return first
+
+
+def _mean(values: list[float]) -> float:
+    return sum(values) / len(values)
+
+
+def _spread(values: list[float]) -> float:
+    return max(values) - min(values)

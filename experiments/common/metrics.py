@@ -1,0 +1,58 @@
+"""What experiments judge by: circular errors, accuracy at a threshold, and tables of rows for terminal and README."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+HALF_BIN_DEG = 5.0 + 0.5  # the nearest of the 10° bins, or the other one at a tie
+
+
+def yaw_error_deg(found: Any, true: Any, period_deg: float = 360.0) -> Any:
+    """Absolute circular difference [deg] of yaws [rad], of objects that look the same every `period_deg`."""
+    turn = np.degrees(np.asarray(found, float) - np.asarray(true, float))
+    return np.abs((turn + period_deg / 2) % period_deg - period_deg / 2)
+
+
+def accuracy(score: np.ndarray, right: np.ndarray, is_target: np.ndarray, threshold: float) -> float:
+    """Share of frames (frame,) that are the paper's success: target with the right bin, or another object refused."""
+    said = score >= threshold
+    return float(np.where(is_target, said & right, ~said).mean())
+
+
+def best_accuracy(score: np.ndarray, right: np.ndarray, is_target: np.ndarray) -> tuple[float, float]:
+    """The largest accuracy over all thresholds, as the paper sets its own on the test set, and that threshold."""
+    cuts = np.append(np.unique(score), np.inf)
+    reached = [accuracy(score, right, is_target, cut) for cut in cuts]
+    best = int(np.argmax(reached))
+    return reached[best], float(min(cuts[best], 1.0))
+
+
+def summary_deg(errors: np.ndarray) -> dict[str, float]:
+    """Median, mean, RMS, 95th percentile and share within 1° of absolute errors [deg] (frame,)."""
+    return {
+        "median": float(np.median(errors)),
+        "mean": float(errors.mean()),
+        "rms": float(np.sqrt((errors**2).mean())),
+        "p95": float(np.percentile(errors, 95)),
+        "within_1": float((errors <= 1.0).mean()),
+    }
+
+
+def markdown(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
+    """A table; floats with three decimals, absent values as a dash."""
+
+    def cell(value: Any) -> str:
+        if value is None:
+            return "–"
+        return f"{value:.3f}" if isinstance(value, float) else str(value)
+
+    lines = [head, ["---"] * len(head), *([cell(v) for v in row] for row in rows)]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def columns(rows: Sequence[Mapping[str, Any]], heads: Mapping[str, str]) -> str:
+    """A table of rows by name: `heads` gives each key's title, in order."""
+    return markdown(list(heads.values()), [[row.get(key) for key in heads] for row in rows])

@@ -1,0 +1,186 @@
+"""Results of experiments: runs/<experiment>/<hash of the settings>-s<seed>/results.json, and what was measured so far.
+
+`Job.map` keeps each part of an experiment as soon as it is measured: an interrupted run goes on where it was. The same
+code must go on: parts that other code measured are forgotten. A finished run that is started again measures anew.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+import jax
+import numpy as np
+from tqdm import tqdm
+
+import sonarjax as sj
+from sonarjax.io import SonarjaxError, write_npz, write_text
+from sonarjax.io.jsonlines import JsonLines, plain
+
+ROOT = Path(__file__).resolve().parents[2]
+RESULTS, PARTS = "results.json", "parts.jsonl"
+Case = TypeVar("Case")
+
+
+class Job:
+    """One run of an experiment with one seed: its folder, and the parts that it has measured so far."""
+
+    def __init__(self, folder: Path, seed: int) -> None:
+        """Make `folder`, and take up what an interrupted run of the same code left in it."""
+        self.folder, self.seed = folder, seed
+        folder.mkdir(parents=True, exist_ok=True)
+        self._path = folder / PARTS
+        self._done = self._taken_up()
+
+    @property
+    def key(self) -> jax.Array:
+        """The root key of all that is random in the run."""
+        return jax.random.key(self.seed)
+
+    def map(
+        self, measure: Callable[[Case], Any], cases: Mapping[str, Case] | Iterable[str], title: str
+    ) -> dict[str, Any]:
+        """`measure(case)` by the case's name, with a progress bar; what was measured before is not measured again.
+
+        `measure` returns JSON's types (NumPy's are made plain). Cases share the accelerators where there are several.
+        """
+        named: dict[str, Any] = dict(cases) if isinstance(cases, Mapping) else {name: name for name in cases}
+        parts = {name: f"{title}/{name}" for name in named}
+        left = [name for name in named if parts[name] not in self._done]
+        with JsonLines(self._path) as kept:
+
+            def part(name: str, device: jax.Device | None = None) -> None:
+                with jax.default_device(device):
+                    value = plain({"part": parts[name], "value": measure(named[name])})
+                kept.write(value)
+                self._done[parts[name]] = value["value"]
+
+            bar = tqdm(total=len(named), initial=len(named) - len(left), desc=title, unit="part", smoothing=0.0)
+            with bar:
+                for _ in _spread(part, left):
+                    bar.update()
+        return {name: self._done[parts[name]] for name in named}
+
+    def arrays(self, name: str, **arrays: Any) -> Path:
+        """Keep arrays as `name`.npz in the run's folder, for the figures."""
+        path = self.folder / f"{name}.npz"
+        write_npz(path, **{key: np.asarray(value) for key, value in arrays.items()})
+        return path
+
+    def finish(self, report: Mapping[str, Any]) -> None:
+        """Write the results; the parts have served."""
+        write_text(self.folder / RESULTS, json.dumps(plain(report), indent=1) + "\n")
+        self._path.unlink(missing_ok=True)
+
+    def _taken_up(self) -> dict[str, Any]:
+        lines = self._path.read_text(encoding="utf-8").splitlines() if self._path.exists() else []
+        records = [record for record in map(_record, lines) if record]
+        if records and records[0].get("code") == code_digest():
+            return {record["part"]: record["value"] for record in records[1:]}
+        self._path.unlink(missing_ok=True)
+        with JsonLines(self._path) as file:
+            file.write({"code": code_digest()})
+        return {}
+
+
+def _record(line: str) -> dict[str, Any]:
+    """A line of the file of parts; nothing if a kill cut it short."""
+    try:
+        return dict(json.loads(line))
+    except ValueError:
+        return {}
+
+
+def _spread(part: Callable[..., None], names: list[str]) -> Iterable[None]:
+    """One part after another, or on accelerators one on each at a time."""
+    devices = jax.local_devices()
+    if len(devices) < 2 or devices[0].platform == "cpu":
+        yield from (part(name) for name in names)
+        return
+    with ThreadPoolExecutor(len(devices)) as pool:
+        yield from pool.map(lambda job: part(job[1], devices[job[0] % len(devices)]), enumerate(names))
+
+
+def run_folder(runs: Path, experiment: str, settings: Mapping[str, Any], seed: int) -> Path:
+    """The folder of one run: settings that differ never share one."""
+    digest = hashlib.sha256(json.dumps(plain(settings), sort_keys=True).encode()).hexdigest()[:8]
+    return runs / experiment / f"{digest}-s{seed}"
+
+
+def find_run(runs: Path, experiment: str) -> Path:
+    """The folder of the newest finished run of an experiment, full ones and lower seeds first.
+
+    Raises SonarjaxError that says how to make one when there is none.
+    """
+    found = [(json.loads(path.read_text(encoding="utf-8")), path) for path in runs.glob(f"{experiment}/*/{RESULTS}")]
+    if not found:
+        raise SonarjaxError(f"{runs / experiment}: no finished run; `python -m experiments.{experiment}` makes one")
+    best = max(found, key=lambda one: (one[0]["preset"] == "full", -one[0]["seed"], one[1].stat().st_mtime))
+    return best[1].parent
+
+
+def load_report(folder: Path) -> dict[str, Any]:
+    """The results of a finished run. Raises SonarjaxError when they cannot be read."""
+    try:
+        return dict(json.loads((folder / RESULTS).read_text(encoding="utf-8")))
+    except (OSError, ValueError) as error:
+        raise SonarjaxError(f"{folder / RESULTS}: expected the results of an experiment: {error}") from error
+
+
+def load_arrays(folder: Path, name: str) -> dict[str, np.ndarray]:
+    """Arrays that `Job.arrays` kept. Raises SonarjaxError when they are not there."""
+    path = folder / f"{name}.npz"
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return dict(file)
+    except (OSError, ValueError) as error:
+        raise SonarjaxError(f"{path}: expected arrays of an experiment: {error}") from error
+
+
+def circumstances() -> dict[str, Any]:
+    """What a result depends on beside settings and seed: versions, code and machine."""
+    return {
+        "versions": {
+            "sonarjax": sj.__version__,
+            "jax": jax.__version__,
+            "numpy": np.__version__,
+            "python": platform.python_version(),
+        },
+        "git": git_hash(),
+        "code": code_digest(),
+        "device": jax.devices()[0].device_kind,
+        "date": time.strftime("%Y-%m-%d"),
+        "command": " ".join(["python -m", getattr(sys.modules["__main__"].__spec__, "name", "?"), *sys.argv[1:]]),
+    }
+
+
+def git_hash() -> str | None:
+    """The commit of the working tree, with a + where it was changed since; None outside of git."""
+
+    def git(*arguments: str) -> str:
+        return subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
+
+    try:
+        return git("rev-parse", "--short=10", "HEAD") + ("+" if git("status", "--porcelain", "-uno") else "")
+    except (OSError, subprocess.CalledProcessError):
+        return None
+
+
+@cache
+def code_digest() -> str:
+    """A digest of the package, its weights and the experiments: equal for equal code."""
+    files = (p for folder in ("sonarjax", "experiments") for p in sorted((ROOT / folder).rglob("*")))
+    digest = hashlib.sha256()
+    for path in files:
+        if path.suffix in (".py", ".safetensors"):
+            digest.update(path.relative_to(ROOT).as_posix().encode() + path.read_bytes())
+    return digest.hexdigest()[:12]
