@@ -50,12 +50,13 @@ def paper_frames(
     severity: float = 1.0,
     drawn: bool = False,
     other: sj.Mesh | None = None,
+    model: SensorModel | None = None,
 ) -> list[TestFrame]:
     """Four sets (tilts 15, 20, 25° and one drawn of them) of target and non-target, yaw in steps of `step_deg`.
 
     With steps of 10° these are the 288 frames of §4.1. `yaw_offset_deg` adds a uniform offset within ± that to each.
     The sensor is the nominal DIDSON at `severity`, or with `drawn` another device of the family for every frame.
-    `other` takes the non-target's place.
+    `other` takes the non-target's place, and `model` the sensor's.
     """
     key = jax.random.key(seed)
     tilt_drawn = TILTS_DEG[int(jax.random.randint(jax.random.fold_in(key, 10**6), (), 0, 3))]
@@ -73,9 +74,9 @@ def paper_frames(
         offset = float(jax.random.uniform(part, (), minval=-1.0, maxval=1.0)) * math.radians(yaw_offset_deg)
         yaw = math.radians(yaw_deg) + offset
         pose = sj.Pose(*(jnp.float32(v) for v in (GROUND_RANGE_M[tilt], 0.0, yaw)))
-        model = _device(severity, drawn, key=jax.random.fold_in(part, 3))
+        sensor = _device(severity, drawn, key=jax.random.fold_in(part, 3)) if model is None else model
         mesh = meshes[0] if is_target else meshes[1]
-        image, clean = _observed(mesh, pose, sonar_for(tilt), model, key=jax.random.fold_in(part, 7))
+        image, clean = _observed(mesh, pose, sonar_for(tilt), sensor, key=jax.random.fold_in(part, 7))
         return TestFrame(np.asarray(image), np.asarray(clean), is_target, yaw, tilt)
 
     for case in (cases[0], next(c for c in cases if not c[2])):

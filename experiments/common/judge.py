@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from functools import cache
 from typing import NamedTuple
 
 import numpy as np
+from tqdm import tqdm
 
 import sonarjax as sj
 from experiments.common.frames import TestFrame, sonar_for
 from experiments.common.metrics import HALF_BIN_DEG, accuracy, best_accuracy, summary_deg, yaw_error_deg
+from experiments.common.segmenters import map_of, threshold_of
+from sonarjax.segment import SEGMENTERS
 
 
 class Found(NamedTuple):
@@ -26,10 +30,16 @@ class Found(NamedTuple):
     """Error of the yaw reported [deg]: refined where that was asked for."""
     yaw_std_deg: np.ndarray
     """Standard deviation reported with it [deg], NaN without refinement."""
+    seconds: np.ndarray
+    """Time that `recognize` took [s]."""
     threshold: float
     """Least score of an identified target."""
     results: list[sj.Recognition]
     """All that was found, frame by frame."""
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """The arrays (frame,) by name, to be kept for figures."""
+        return {name: value for name, value in self._asdict().items() if isinstance(value, np.ndarray)}
 
 
 @cache
@@ -48,13 +58,24 @@ def recognize_all(
 ) -> Found:
     """Recognize the target (or `mesh`) in each frame, with the sonar that `sonar_of` gives for its tilt [deg].
 
-    Yaw is judged on the target alone: other frames are not refined.
+    `segmenter` is one of `common.segmenters`. Yaw is judged on the target alone: other frames are not refined.
     """
-    sought = target() if mesh is None else mesh
-    results = [
-        sj.recognize(f.image, sought, sonar_of(f.tilt_deg), segmenter=segmenter, refine=refine and f.is_target)
-        for f in frames
-    ]
+    sought, limit = target() if mesh is None else mesh, threshold_of(segmenter)
+    own = segmenter in SEGMENTERS  # what others make is matched as a frame that needs no segmenter
+    results, seconds = [], []
+    for frame in tqdm(frames, desc=segmenter, unit="frame", leave=False):
+        started = time.perf_counter()
+        results.append(
+            sj.recognize(
+                frame.image if own else map_of(segmenter, frame),
+                sought,
+                sonar_of(frame.tilt_deg),
+                segmenter=segmenter if own else "none",
+                threshold=limit,
+                refine=refine and frame.is_target,
+            )
+        )
+        seconds.append(time.perf_counter() - started)
     true = [f.yaw for f in frames]
     return Found(
         score=np.array([r.score for r in results]),
@@ -62,13 +83,14 @@ def recognize_all(
         bin_error_deg=yaw_error_deg([r.yaw_bin for r in results], true),
         error_deg=yaw_error_deg([r.yaw for r in results], true),
         yaw_std_deg=np.degrees([np.nan if r.yaw_std is None else r.yaw_std for r in results]),
-        threshold=results[0].threshold,
+        seconds=np.array(seconds),
+        threshold=limit,
         results=results,
     )
 
 
 def judged(found: Found) -> dict[str, float]:
-    """Accuracy at the threshold and at the best one, and what it is made of; yaw errors of the target's frames [deg]."""
+    """Accuracy at the threshold and at the best one, what it is made of, yaw errors of the target's frames [deg]."""
     own = found.is_target
     right = found.bin_error_deg <= HALF_BIN_DEG
     best, best_threshold = best_accuracy(found.score, right, own)
@@ -82,6 +104,9 @@ def judged(found: Found) -> dict[str, float]:
         "bin_right": float(right[own].mean()),
         "score_target": float(found.score[own].mean()),
         "score_other": float(found.score[~own].mean()),
+        "score_other_largest": float(found.score[~own].max()),
+        "milliseconds": float(1e3 * np.median(found.seconds)),
+        "identification": float(((found.score >= found.threshold) == own).mean()),
         **{f"bin_{name}": value for name, value in summary_deg(found.bin_error_deg[own]).items()},
         **{f"yaw_{name}": value for name, value in summary_deg(found.error_deg[own]).items()},
     }

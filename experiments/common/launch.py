@@ -25,6 +25,10 @@ Report = dict[str, Any]
 Run = Callable[[Any, Job], Report]
 
 
+class Skipped(SonarjaxError):
+    """What an experiment needs beside the project is not here: data, or a library to compare with."""
+
+
 def launch(
     run: Run,
     settings: type,
@@ -36,7 +40,7 @@ def launch(
     """Run an experiment from its command line: `run(settings, job)` for each seed, `table(report)` to the terminal.
 
     `smoke` are the settings of `--preset smoke`. Leaves by SystemExit: 2 for arguments, 1 for a SonarjaxError, 130 when
-    interrupted.
+    interrupted. Of Skipped, `--preset smoke` leaves a line that says so, and 0.
     """
     module = inspect.getmodule(run)
     assert module is not None and module.__file__ is not None
@@ -48,6 +52,10 @@ def launch(
             job = Job(run_folder(Path(common.runs), name, asdict(chosen), seed), seed)
             reports.append(_one(run, chosen, job, common.preset, name))
             print(f"\n{table(reports[-1])}\n\n{job.folder}: {reports[-1]['seconds']:.0f} s", flush=True)
+    except Skipped as error:
+        if common.preset != "smoke":
+            raise SystemExit(f"{name}: {error}") from error
+        print(f"skipped: {error}", flush=True)
     except SonarjaxError as error:
         raise SystemExit(f"{name}: {error}") from error
     except KeyboardInterrupt:
