@@ -63,7 +63,7 @@ def recognize_all(
     sought, limit = target() if mesh is None else mesh, threshold_of(segmenter)
     own = segmenter in SEGMENTERS  # what others make is matched as a frame that needs no segmenter
     results, seconds = [], []
-    for frame in tqdm(frames, desc=segmenter, unit="frame", leave=False):
+    for frame in tqdm(frames, desc=segmenter, unit="frame", leave=False, disable=None):
         started = time.perf_counter()
         results.append(
             sj.recognize(
