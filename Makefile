@@ -1,6 +1,6 @@
 # make test        lint, format, types and tests          make reproduce   the main job: figures and report under runs/
-# make bench       speed against peers                    make format      rewrite the code in the project's format
-# make clean       remove the environment and the caches
+# make smoke       every experiment and notebook in brief  make bench       speed against peers
+# make format      rewrite the code in our format        make clean       remove the environment and the caches
 # Needs Python >= 3.11 with venv; name another interpreter with PYTHON=...
 
 VENV    ?= .venv
@@ -17,7 +17,7 @@ BIN   := $(VENV)/bin
 SPEC  := pyproject.toml constraints.txt
 PIP   := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: test reproduce bench format clean
+.PHONY: test smoke reproduce bench format clean
 .DELETE_ON_ERROR:
 
 test: $(VENV)/.stamp-test
@@ -26,8 +26,15 @@ test: $(VENV)/.stamp-test
 	$(BIN)/mypy sonarjax
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile
 
+smoke: $(VENV)/.stamp-smoke
+	$(BIN)/python -m experiments --smoke
+	$(BIN)/python -m notebooks.run
+
 reproduce: $(VENV)/.stamp-base
 	$(BIN)/python -m experiments.reproduce_paper
+	$(BIN)/python -m experiments.paper_scenes
+	$(BIN)/python -m paper_figs --all --out runs/figures --report runs/report.html
+	@echo "Report: $(CURDIR)/runs/report.html"
 
 bench: $(VENV)/.stamp-bench
 	$(BIN)/python -m experiments.bench_all
@@ -43,9 +50,10 @@ clean:
 # One environment; each stamp says which extra of it is installed, and is older than the files that decide what.
 $(VENV)/.stamp-base: EXTRA :=
 $(VENV)/.stamp-test: EXTRA := [test]
+$(VENV)/.stamp-smoke: EXTRA := [test,notebooks]
 $(VENV)/.stamp-bench: EXTRA := [bench]
 
-$(VENV)/.stamp-base $(VENV)/.stamp-test $(VENV)/.stamp-bench: $(SPEC)
+$(VENV)/.stamp-base $(VENV)/.stamp-test $(VENV)/.stamp-smoke $(VENV)/.stamp-bench: $(SPEC)
 	@$(or $(PYTHON),false) -c '$(RECENT)' 2>/dev/null || \
 		{ echo "sonarjax needs Python 3.11 or newer with venv and pip: make PYTHON=/path/to/python3.11" >&2; exit 1; }
 	@$(PIP) --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV)

@@ -1,28 +1,35 @@
-"""How fast and how exact eq. 4 is: ours, a loop of OpenCV's matchTemplate and scikit-image's, in the same run.
+"""How fast and how exact is eq. 4? Ours, a loop of OpenCV's matchTemplate and scikit-image's, in the same run.
 
-python experiments/bench_match.py [--templates synthetic|bank] [--smoke]: prints one table; `run` returns its numbers.
-OpenCV and scikit-image are the `bench` and core dependencies; a peer that is not installed is left out of the table.
+python -m experiments.bench_match [--preset smoke] [--help]
+
+OpenCV is of the extras `bench` and `test`; --no-peer does without it. scikit-image the project needs anyway.
 """
 
 from __future__ import annotations
 
-import argparse
+import importlib.util
 import statistics
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from experiments.common.launch import Report, Skipped, launch
+from experiments.common.metrics import columns
+from experiments.common.runs import Job
 from sonarjax.match import match_bank, prepare_bank
+
+OURS, SKIMAGE = "sonarjax, spectra kept", "scikit-image loop"
+SMOKE = {"yaws": (36,), "repeats": 3}
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What is timed; every field is a command line option."""
+    """What is timed."""
 
     yaws: tuple[int, ...] = (36, 360)
     """Numbers of templates over the full circle."""
@@ -36,12 +43,16 @@ class Settings:
     """Beams of a template."""
     repeats: int = 15
     """Rounds; each times every contender once (scikit-image in the first round only)."""
-    templates: str = "synthetic"
+    templates: Literal["synthetic", "bank"] = "synthetic"
     """`synthetic`: turned blocks with a shadow; `bank`: sonarjax.template_bank of the paper's target."""
-    seed: int = 0
-    """Seed of the frame's noise."""
-    smoke: bool = False
-    """A run of seconds: 36 templates, three rounds."""
+    peer: bool = True
+    """Time OpenCV too."""
+
+
+def need(module: str, package: str) -> None:
+    """Raise Skipped, saying what to install, when the peer's `module` is not there."""
+    if importlib.util.find_spec(module) is None:
+        raise Skipped(f"{package} is not installed: install it, or time ours without it by --no-peer")
 
 
 def block_templates(count: int, height: int, width: int) -> np.ndarray:
@@ -83,47 +94,41 @@ def bank_templates(count: int, settings: Settings) -> np.ndarray:
     return np.asarray(template_bank(target(), sonar, np.arange(count) * (2 * np.pi / count), x=2.3).templates)
 
 
-def frame_with(template: np.ndarray, settings: Settings) -> np.ndarray:
+def frame_with(template: np.ndarray, settings: Settings, seed: int) -> np.ndarray:
     """A semantic frame (range, beam) with `template` in it and noise over it, float32."""
-    rng = np.random.default_rng(settings.seed)
+    rng = np.random.default_rng(seed)
     frame = np.full((settings.ranges, settings.beams), 0.5, np.float32)
     row, col = (settings.ranges - template.shape[0]) // 2, (settings.beams - template.shape[1]) // 3
     frame[row : row + template.shape[0], col : col + template.shape[1]] = template
     return frame + rng.normal(0, 0.1, frame.shape).astype(np.float32)
 
 
-def contenders(frame: np.ndarray, templates: np.ndarray) -> dict[str, Callable[[], np.ndarray]]:
+def contenders(frame: np.ndarray, templates: np.ndarray, peer: bool) -> dict[str, Callable[[], np.ndarray]]:
     """Name → function that returns the best score of each template (yaw,)."""
+    from skimage.feature import match_template
+
     bank = jax.block_until_ready(prepare_bank(templates, (frame.shape[0], frame.shape[1])))
     image, stack = jnp.asarray(frame), jnp.asarray(templates)
     found: dict[str, Callable[[], np.ndarray]] = {
-        "sonarjax, spectra kept": lambda: np.asarray(match_bank(image, bank)),
+        OURS: lambda: np.asarray(match_bank(image, bank)),
         "sonarjax, from templates": lambda: np.asarray(match_bank(image, stack)),
     }
-    try:
+    if peer:
         import cv2
 
         found["OpenCV loop"] = lambda: np.array(
             [cv2.matchTemplate(frame, t, cv2.TM_CCOEFF_NORMED).max() for t in templates]
         )
-    except ImportError:
-        pass
-    try:
-        from skimage.feature import match_template
-
-        found["scikit-image loop"] = lambda: np.array([match_template(frame, t).max() for t in templates])
-    except ImportError:
-        pass
-    return found
+    return found | {SKIMAGE: lambda: np.array([match_template(frame, t).max() for t in templates])}
 
 
 def time_all(functions: dict[str, Callable[[], np.ndarray]], repeats: int) -> tuple[dict[str, float], dict[str, Any]]:
     """Median seconds of each function over interleaved rounds, and its last result."""
     seconds: dict[str, list[float]] = {name: [] for name in functions}
-    results = {name: function() for name, function in functions.items() if "scikit" not in name}  # warm up, compile
+    results = {name: function() for name, function in functions.items() if name != SKIMAGE}  # warm up, compile
     for round_ in range(repeats):
         for name, function in functions.items():
-            if "scikit" in name and round_:
+            if name == SKIMAGE and round_:
                 continue  # ten times slower than the rest: its spread does not matter
             start = time.perf_counter()
             results[name] = function()
@@ -131,63 +136,41 @@ def time_all(functions: dict[str, Callable[[], np.ndarray]], repeats: int) -> tu
     return {name: statistics.median(times) for name, times in seconds.items()}, results
 
 
-def run(settings: Settings) -> dict[str, Any]:
-    """Times [s], ratios to ours and largest score differences, one entry for each number of templates."""
-    if settings.smoke:
-        settings = replace(settings, yaws=(36,), repeats=3)
-    report: dict[str, Any] = {"device": jax.devices()[0].platform, "rows": []}
-    for count in settings.yaws:
-        if settings.templates == "bank":
-            templates = bank_templates(count, settings)
-        else:
-            templates = block_templates(count, settings.height, settings.width)
-        seconds, results = time_all(
-            contenders(frame_with(templates[count // 3], settings), templates), settings.repeats
-        )
-        ours = "sonarjax, spectra kept"
-        for name, value in seconds.items():
-            report["rows"].append(
-                {
-                    "templates": count,
-                    "shape": templates.shape[1:],
-                    "name": name,
-                    "seconds": value,
-                    "ratio": value / seconds[ours],
-                    "max_difference": float(abs(results[name] - results[ours]).max()),
-                }
-            )
-    return report
+def run(settings: Settings, job: Job) -> Report:
+    """Times [ms], ratios to ours and largest score differences, one row for each number of templates and contender."""
+    if settings.peer:
+        need("cv2", "OpenCV")
+    rows = [row for count in settings.yaws for row in compare(count, settings, job.seed)]
+    return {"platform": jax.devices()[0].platform, "rows": rows}
 
 
-def table(report: dict[str, Any]) -> str:
-    """The report as text, one line for each contender."""
-    lines = [
-        f"{'templates':>9}  {'method':<26} {'ms':>9} {'x ours':>7} {'max |difference|':>17}   ({report['device']})"
+def compare(count: int, settings: Settings, seed: int) -> list[dict[str, Any]]:
+    """One row for each contender, with `count` templates."""
+    if settings.templates == "bank":
+        templates = bank_templates(count, settings)
+    else:
+        templates = block_templates(count, settings.height, settings.width)
+    frame = frame_with(templates[count // 3], settings, seed)
+    seconds, results = time_all(contenders(frame, templates, settings.peer), settings.repeats)
+    return [
+        {
+            "templates": count,
+            "shape": templates.shape[1:],
+            "name": name,
+            "milliseconds": 1e3 * value,
+            "ratio": value / seconds[OURS],
+            "max_difference": float(abs(results[name] - results[OURS]).max()),
+        }
+        for name, value in seconds.items()
     ]
-    for row in report["rows"]:
-        lines.append(
-            f"{row['templates']:>9}  {row['name']:<26} {1e3 * row['seconds']:>9.2f} {row['ratio']:>7.2f}"
-            f" {row['max_difference']:>17.1e}"
-        )
-    return "\n".join(lines)
 
 
-def parse(arguments: list[str] | None = None) -> Settings:
-    """Settings from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    for option in fields(Settings):
-        name = "--" + option.name.replace("_", "-")
-        if isinstance(option.default, bool):
-            parser.add_argument(name, action="store_true")
-        elif isinstance(option.default, tuple):
-            parser.add_argument(name, type=int, nargs="+", default=option.default)
-        elif option.name == "templates":
-            parser.add_argument(name, choices=("synthetic", "bank"), default=option.default)
-        else:
-            parser.add_argument(name, type=type(option.default), default=option.default)
-    values = vars(parser.parse_args(arguments))
-    return Settings(**{**values, "yaws": tuple(values["yaws"])})
+def table(report: Report) -> str:
+    """One line for each contender."""
+    heads = {"templates": "templates", "name": "method", "milliseconds": "ms", "ratio": "× ours"}
+    shown = [row | {"largest": f"{row['max_difference']:.1e}"} for row in report["rows"]]
+    return columns(shown, heads | {"largest": f"largest difference of scores ({report['platform']})"})
 
 
 if __name__ == "__main__":
-    print(table(run(parse())))
+    launch(run, Settings, table, smoke=SMOKE)

@@ -1,7 +1,9 @@
-"""How fast refinement, its gradient and recognition are after compilation.
+"""How fast are refinement, its gradient and recognition after compilation?
 
-python -m experiments.bench_refine [--smoke]: prints one table; `run` returns its numbers. The frames are renders of the
-paper's target (§4.1's geometry) at random yaws and places, finer than refinement's own, with noise over them.
+python -m experiments.bench_refine [--preset smoke] [--help]
+
+The frames are renders of the paper's target (§4.1's geometry) at random yaws and places, finer than refinement's own,
+with noise over them.
 """
 
 from __future__ import annotations
@@ -9,7 +11,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -18,7 +20,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.bench_match import time_all
-from experiments.bench_render import make_sonar, parse
+from experiments.bench_render import make_sonar
+from experiments.common.launch import Report, launch
+from experiments.common.metrics import markdown, yaw_error_deg
+from experiments.common.runs import Job
 from sonarjax import recognize
 from sonarjax.refine import refine_yaw
 from sonarjax.refine.yaw import SUB_BEAMS
@@ -29,11 +34,12 @@ from sonarjax.sonar import Sonar
 
 CONVERGED = 4  # sub-beams of the frames
 DIDSON_FRAMES_PER_SECOND = 21.0
+SMOKE = {"batch": 4, "hypotheses": 1, "frames": 2, "repeats": 1}
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What is timed; every field is a command line option."""
+    """What is timed."""
 
     batch: int = 32
     """Frames of a batch, refined from one start each."""
@@ -45,32 +51,28 @@ class Settings:
     """Rounds; each times every contender once."""
     noise: float = 0.05
     """Standard deviation of the noise over the frames' grey values."""
-    seed: int = 0
-    """Seed of poses and noise."""
-    smoke: bool = False
-    """A run of seconds: a batch of 4, 6 frames, two rounds."""
 
 
-def make_frames(mesh: Mesh, sonar: Sonar, count: int, settings: Settings) -> tuple[np.ndarray, Pose]:
+def make_frames(mesh: Mesh, sonar: Sonar, count: int, noise: float, seed: int) -> tuple[np.ndarray, Pose]:
     """Semantic frames (frame, range, beam) with noise, and their poses (frame,)."""
-    rng = np.random.default_rng(settings.seed)
+    rng = np.random.default_rng(seed)
     x, y, yaw = rng.uniform([2.2, -0.15, 0.0], [2.4, 0.15, 2 * math.pi], (count, 3)).astype(np.float32).T
     images = jax.jit(
         partial(jax.lax.map, lambda p: render(mesh, Pose(p[0], p[1], p[2]), sonar, sub_beams=CONVERGED).semantic())
     )(np.stack([x, y, yaw], 1))
-    noisy = np.asarray(images) + settings.noise * rng.normal(size=images.shape)
+    noisy = np.asarray(images) + noise * rng.normal(size=images.shape)
     return np.clip(noisy, 0, 1).astype(np.float32), Pose(x, y, yaw)
 
 
-def near(pose: Pose, settings: Settings, axes: tuple[int, ...]) -> Pose:
+def near(pose: Pose, seed: int, axes: tuple[int, ...]) -> Pose:
     """Starts within 10 degrees and 2 cm of `pose`."""
-    rng = np.random.default_rng(settings.seed + 1)
+    rng = np.random.default_rng(seed + 1)
     off = rng.uniform(-1, 1, (3, *axes)) * np.array([0.02, 0.02, math.radians(10)]).reshape(3, *(1,) * len(axes))
     return Pose(*(np.float32(v + d) for v, d in zip((pose.x, pose.y, pose.yaw), off, strict=True)))
 
 
 def refinements(
-    mesh: Mesh, sonar: Sonar, frames: np.ndarray, poses: Pose, settings: Settings
+    mesh: Mesh, sonar: Sonar, frames: np.ndarray, poses: Pose, settings: Settings, seed: int
 ) -> dict[str, tuple[int, Callable[[], Any]]]:
     """Name -> (frames, function) of each way to call `refine_yaw`."""
     first = Pose(poses.x[0], poses.y[0], poses.yaw[0])
@@ -79,13 +81,13 @@ def refinements(
     def add(name: str, count: int, image: np.ndarray, start: Pose) -> None:
         found[name] = count, lambda: jax.tree.map(np.asarray, refine_yaw(image, mesh, sonar, start))
 
-    add("refine_yaw, one frame", 1, frames[0], near(first, settings, ()))
+    add("refine_yaw, one frame", 1, frames[0], near(first, seed, ()))
     if settings.hypotheses > 1:
-        some = near(first, settings, (settings.hypotheses,))
+        some = near(first, seed, (settings.hypotheses,))
         add(f"refine_yaw, one frame, {settings.hypotheses} starts", 1, frames[0], some)
     count = settings.batch
     batch = Pose(poses.x[:count], poses.y[:count], poses.yaw[:count])
-    add(f"refine_yaw, batch of {count}", count, frames[:count], near(batch, settings, (count,)))
+    add(f"refine_yaw, batch of {count}", count, frames[:count], near(batch, seed, (count,)))
     return found
 
 
@@ -118,61 +120,45 @@ def recognition(mesh: Mesh, sonar: Sonar, frames: np.ndarray) -> tuple[float, li
     return (time.perf_counter() - start) / len(frames), yaws
 
 
-def angle(found: Any, truth: Any) -> np.ndarray:
-    """Absolute differences of angles [deg]."""
-    return np.degrees(np.abs((np.asarray(found) - np.asarray(truth) + np.pi) % (2 * np.pi) - np.pi))
-
-
-def run(settings: Settings) -> dict[str, Any]:
-    """Seconds of a call and of a frame, yaw errors [deg], the gradient's cost and the recognition's rate."""
-    if settings.smoke:
-        settings = replace(settings, batch=4, hypotheses=1, frames=6, repeats=2)
+def run(settings: Settings, job: Job) -> Report:
+    """Times a frame [ms], yaw errors [deg], the gradient's cost and the recognition's rate."""
     mesh, sonar = target(), make_sonar()
-    frames, poses = make_frames(mesh, sonar, max(settings.batch, settings.frames), settings)
-    calls = refinements(mesh, sonar, frames, poses, settings)
+    frames, poses = make_frames(mesh, sonar, max(settings.batch, settings.frames), settings.noise, job.seed)
+    calls = refinements(mesh, sonar, frames, poses, settings, job.seed)
     seconds, results = time_all({name: function for name, (_, function) in calls.items()}, settings.repeats)
     rows = []
     for name, (count, _) in calls.items():
-        truth = poses.yaw[:count] if count > 1 else poses.yaw[0]
-        error = angle(results[name].yaw, truth)
-        rows.append(
-            {
-                "name": name,
-                "frames": count,
-                "seconds": seconds[name] / count,
-                "median_error_deg": float(np.median(error)),
-            }
-        )
+        error = yaw_error_deg(results[name].yaw, poses.yaw[:count] if count > 1 else poses.yaw[0])
+        rows.append(_row(name, seconds[name] / count, error))
     losses = loss_functions(mesh, sonar, frames[0], Pose(poses.x[0], poses.y[0], poses.yaw[0]))
     cost, _ = time_all(losses, 5 * settings.repeats)
     each, yaws = recognition(mesh, sonar, frames[: settings.frames])
+    rows.append(_row("recognize, no refinement", each, yaw_error_deg(yaws, poses.yaw[: settings.frames])))
+    rows += [_row(f"loss of a window, {name}", value) for name, value in cost.items()]
     return {
-        "device": jax.devices()[0].platform,
+        "platform": jax.devices()[0].platform,
         "rows": rows,
-        "forward_seconds": cost["forward"],
-        "gradient_seconds": cost["value and gradient"],
         "gradient_ratio": cost["value and gradient"] / cost["forward"],
-        "recognize_seconds": each,
         "recognize_rate": 1 / each,
-        "recognize_median_error_deg": float(np.median(angle(yaws, poses.yaw[: settings.frames]))),
     }
 
 
-def table(report: dict[str, Any]) -> str:
-    """The report as text, one line for each measurement."""
-    lines = [f"{'what':<36} {'ms / frame':>11} {'yaw error [deg]':>16}   ({report['device']})"]
-    for row in report["rows"]:
-        lines.append(f"{row['name']:<36} {1e3 * row['seconds']:>11.2f} {row['median_error_deg']:>16.2f}")
-    each = 1e3 * report["recognize_seconds"]
-    lines += [
-        f"{'recognize, no refinement':<36} {each:>11.2f} {report['recognize_median_error_deg']:>16.2f}"
-        f"   {report['recognize_rate']:.1f} frames/s (DIDSON: {DIDSON_FRAMES_PER_SECOND:.0f})",
-        f"{'loss of a window, forward':<36} {1e3 * report['forward_seconds']:>11.2f}",
-        f"{'loss of a window, value + gradient':<36} {1e3 * report['gradient_seconds']:>11.2f}"
-        f" {'':>16}   {report['gradient_ratio']:.2f} x the forward render",
-    ]
-    return "\n".join(lines)
+def _row(name: str, seconds: float, error: np.ndarray | None = None) -> dict[str, Any]:
+    median = None if error is None else float(np.median(error))
+    return {"name": name, "milliseconds": 1e3 * seconds, "median_error_deg": median}
+
+
+def table(report: Report) -> str:
+    """One line for each measurement."""
+    head = ("what", f"ms a frame ({report['platform']})", "median yaw error [°]")
+    return "\n".join(
+        [
+            markdown(head, [list(row.values()) for row in report["rows"]]),
+            f"\nvalue and gradient cost {report['gradient_ratio']:.2f} forward renders; recognized"
+            f" {report['recognize_rate']:.1f} frames a second (a DIDSON sends {DIDSON_FRAMES_PER_SECOND:.0f})",
+        ]
+    )
 
 
 if __name__ == "__main__":
-    print(table(run(parse(Settings, __doc__))))
+    launch(run, Settings, table, smoke=SMOKE)

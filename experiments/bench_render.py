@@ -1,22 +1,26 @@
-"""How fast the renderer is beside Embree (Open3D's RaycastingScene) with NumPy binning, in the same run.
+"""How fast is the renderer beside Embree (Open3D's RaycastingScene) with NumPy binning, in the same run?
 
-python -m experiments.bench_render [--smoke]: prints one table and draws runs/bench_render/triangles.png; `run` returns
-its numbers. The peer casts one ray per beam and elevation and fills the same range bins with the same three classes; it
-holds no gradient and no shares of pixels. Open3D is of the `bench` extra; without it the peer's rows are left out.
+python -m experiments.bench_render [--preset smoke] [--help]
+
+The peer casts one ray per beam and elevation and fills the same range bins with the same three classes; it holds no
+gradient and no shares of pixels. Open3D is of the extra `bench`; --no-peer does without it. Leaves triangles.png.
 """
 
 from __future__ import annotations
 
 import argparse
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
-from experiments.bench_match import time_all
+from experiments.bench_match import need, time_all
+from experiments.common.launch import Report, launch
+from experiments.common.metrics import markdown
+from experiments.common.runs import Job
 from sonarjax.render import TemplateBank, template_bank
 from sonarjax.scene import Mesh
 from sonarjax.scene.objects import ball, target
@@ -24,11 +28,13 @@ from sonarjax.sonar import Sonar
 
 X_M = 2.3  # where the object stands
 SAME_SURFACE_BINS = 8  # neighbouring rays whose ranges differ by less belong to one surface: bins between are filled
+OURS, TURNED, REBUILT = "sonarjax", "Embree, rays turned", "Embree, scene rebuilt"
+SMOKE = {"views": 12, "big_views": 2, "triangles": (100, 1_000), "repeats": 3}
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What is timed; every field is a command line option."""
+    """What is timed."""
 
     views: int = 36
     """Yaws of the brick pile's bank, over the full circle."""
@@ -40,10 +46,8 @@ class Settings:
     """About how many triangles the meshes of the cost curve have."""
     repeats: int = 9
     """Rounds; each times every contender once."""
-    out: str = "runs/bench_render"
-    """Folder of the figure."""
-    smoke: bool = False
-    """A run of seconds: few views, small meshes, three rounds."""
+    peer: bool = True
+    """Time Embree too."""
 
 
 def make_sonar() -> Sonar:
@@ -145,22 +149,20 @@ def compare(mesh: Mesh, sonar: Sonar, views: int, settings: Settings, variants: 
     """Median seconds of one bank by each contender, and how far the labels agree with ours."""
     yaws = np.arange(views) * (2 * np.pi / views)
     bank = template_bank(mesh, sonar, yaws, x=X_M)
-    functions = {"sonarjax": lambda: np.asarray(template_bank(mesh, sonar, yaws, x=X_M).templates)}
-    try:
+    functions = {OURS: lambda: np.asarray(template_bank(mesh, sonar, yaws, x=X_M).templates)}
+    if settings.peer:
         frame = Embree(mesh, sonar, settings.elevations)
-        functions["Embree, rays turned"] = lambda: frame.turned_rays(X_M, yaws)
+        functions[TURNED] = lambda: frame.turned_rays(X_M, yaws)
         if variants:
             part = Embree(mesh, sonar, settings.elevations, (*bank.offset, *bank.templates.shape[1:]))
-            functions["Embree, scene rebuilt"] = lambda: frame.rebuilt_scene(X_M, yaws)
+            functions[REBUILT] = lambda: frame.rebuilt_scene(X_M, yaws)
             functions["Embree, template's box only"] = lambda: part.turned_rays(X_M, yaws)
-    except ImportError:
-        pass
     seconds, results = time_all(functions, settings.repeats)
     return {
         "triangles": int((np.asarray(mesh.faces)[:, 0] != np.asarray(mesh.faces)[:, 1]).sum()),
         "views": views,
         "seconds": seconds,
-        "ratio": {name: value / seconds["sonarjax"] for name, value in seconds.items()},
+        "ratio": {name: value / seconds[OURS] for name, value in seconds.items()},
         "agree": {name: agreement(images, bank) for name, images in results.items()},
     }
 
@@ -199,54 +201,51 @@ def draw(report: dict[str, Any], folder: Path) -> Path:
     from matplotlib import pyplot as plt
 
     figure, axes = plt.subplots(figsize=(5.5, 4), layout="constrained")
-    for name in ("sonarjax", "Embree, rays turned"):
+    for name in (OURS, TURNED):
         rows = [row for row in report["curve"] if name in row["seconds"]]
         if rows:
             x, y = [r["triangles"] for r in rows], [1e3 * r["seconds"][name] / r["views"] for r in rows]
             axes.loglog(x, y, "o-", label=f"{name} (exponent {report['growth'][name].get('fit', math.nan):.2f})")
-    axes.set(xlabel="triangles of the ball", ylabel="time of one view [ms]", title=f"one view, {report['device']}")
+    axes.set(xlabel="triangles of the ball", ylabel="time of one view [ms]", title=f"one view, {report['platform']}")
     axes.grid(True, which="both", alpha=0.3)
     axes.legend()
-    folder.mkdir(parents=True, exist_ok=True)
     figure.savefig(folder / "triangles.png", dpi=150)
     plt.close(figure)
     return folder / "triangles.png"
 
 
-def run(settings: Settings) -> dict[str, Any]:
+def run(settings: Settings, job: Job) -> Report:
     """The bank of the brick pile, a mesh of 40,000 triangles and the cost curve: seconds, ratios, growth."""
-    if settings.smoke:
-        settings = replace(settings, views=12, big_views=2, triangles=(100, 1_000), repeats=3)
+    if settings.peer:
+        need("open3d", "Open3D")
     sonar = make_sonar()
-    report: dict[str, Any] = {"device": jax.devices()[0].platform}
+    report: Report = {"platform": jax.devices()[0].platform}
     report["bank"] = compare(target(), sonar, settings.views, settings, variants=True)
     report["big"] = compare(ball(rings=100, sectors=200), sonar, settings.big_views, settings, variants=False)
     curve = [compare(ball_of(n), sonar, settings.big_views, settings, variants=False) for n in settings.triangles]
     report["curve"] = sorted([*curve, report["big"]], key=lambda row: row["triangles"])
-    report["growth"] = {name: growth(report["curve"], name) for name in ("sonarjax", "Embree, rays turned")}
-    report["figure"] = str(draw(report, Path(settings.out)))
+    report["growth"] = {name: growth(report["curve"], name) for name in (OURS, TURNED)}
+    report["figure"] = draw(report, job.folder)
     return report
 
 
-def table(report: dict[str, Any]) -> str:
-    """The report as text: a line for each scene and contender; ratios above 1 say that ours is faster."""
-    lines = [
-        f"{'triangles':>9} {'views':>6}  {'method':<28} {'ms / bank':>10} {'ms / view':>10} {'x ours':>7} {'agree':>7}"
-        f"   ({report['device']})"
+def table(report: Report) -> str:
+    """A line for each scene and contender; ratios above 1 say that ours is faster."""
+    head = ("triangles", "views", "method", "ms a bank", f"ms a view ({report['platform']})", "× ours", "labels agree")
+    rows = [
+        [
+            row["triangles"], row["views"], name, 1e3 * value, 1e3 * value / row["views"],
+            row["ratio"][name], row["agree"][name],
+        ]
+        for row in [report["bank"], *report["curve"]]
+        for name, value in row["seconds"].items()
+    ]  # fmt: skip
+    grown = [
+        f"{name}: cost grows as triangles^{exponent['fit']:.2f}, steepest step {exponent['steepest']:.2f}"
+        for name, exponent in report["growth"].items()
+        if exponent
     ]
-    for row in [report["bank"], *report["curve"]]:
-        for name, value in row["seconds"].items():
-            lines.append(
-                f"{row['triangles']:>9} {row['views']:>6}  {name:<28} {1e3 * value:>10.2f}"
-                f" {1e3 * value / row['views']:>10.3f} {row['ratio'][name]:>7.2f} {row['agree'][name]:>7.3f}"
-            )
-    for name, exponent in report["growth"].items():
-        if exponent:
-            lines.append(
-                f"{name}: cost grows as triangles^{exponent['fit']:.2f}, steepest step {exponent['steepest']:.2f}"
-            )
-    lines.append(f"figure: {report['figure']}")
-    return "\n".join(lines)
+    return "\n".join([markdown(head, rows), "", *grown, f"figure: {report['figure']}"])
 
 
 def parse(settings: Any, description: str | None, arguments: list[str] | None = None) -> Any:
@@ -265,4 +264,4 @@ def parse(settings: Any, description: str | None, arguments: list[str] | None = 
 
 
 if __name__ == "__main__":
-    print(table(run(parse(Settings, __doc__))))
+    launch(run, Settings, table, smoke=SMOKE)

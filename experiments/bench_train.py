@@ -1,40 +1,45 @@
-"""How fast pix2pix trains and answers, beside the same networks and step in PyTorch.
+"""How fast does pix2pix train and answer, beside the same networks and step in PyTorch?
 
-python -m experiments.bench_train [--smoke]: prints one table; `run` returns its numbers. Each side runs in processes of
-its own, which keep their memory (see `segment.memory`), in turn with the other and on all cores; of several rounds the
-fastest step counts, since other programs only ever slow one down. Where they never rest, --one-core gives each side one
-core and counts the processor's time that it takes. PyTorch is optional: without it ours is timed alone. The last line
-says how fast training pairs are made.
+python -m experiments.bench_train [--preset smoke] [--help]
+
+Each side runs in processes of its own, which keep their memory (see `segment.memory`), in turn with the other and on
+all cores; of several rounds the fastest step counts, since other programs only ever slow one down. Where they never
+rest, --one-core gives each side one core and counts the processor's time that it takes. PyTorch is in none of the
+project's extras; --no-peer times ours alone. The last line says how fast training pairs are made.
 """
 
 from __future__ import annotations
 
-import importlib.util
 import json
-import math
 import os
 import subprocess
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from experiments.bench_render import parse
+from experiments.bench_match import need
+from experiments.common.launch import Report, launch
+from experiments.common.metrics import markdown
+from experiments.common.runs import Job
+from sonarjax.io import SonarjaxError
 from sonarjax.segment.memory import keep_memory
 
 PROJECT = Path(__file__).resolve().parent.parent
+SIDE = "from experiments import bench_train; bench_train.one_side()"  # what a process of one side runs
 WORK = ("training", "inference", "one patch")
 PAIRS = 128
+SMOKE = {"widths": (4,), "batch": 2, "steps": 2, "rounds": 1, "pairs": False}
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What is timed; every field is a command line option."""
+    """What is timed."""
 
     widths: tuple[int, ...] = (16, 32, 64)
     """Channels of the first layer of both networks."""
@@ -46,10 +51,10 @@ class Settings:
     """Rounds; each runs every contender once."""
     one_core: bool = False
     """Processor time on one core instead of the clock on all: for a machine that others use too."""
-    side: str = ""
-    """For the processes that this one starts: `ours`, `torch` or `pairs`."""
-    smoke: bool = False
-    """A run of seconds: width 4, one round of two steps."""
+    peer: bool = True
+    """Time PyTorch too."""
+    pairs: bool = True
+    """Time the making of training pairs too."""
 
 
 def fastest(function: Callable[[], Any], count: int, one_core: bool) -> float:
@@ -124,84 +129,83 @@ def time_pairs(_: int, settings: Settings) -> list[float]:
     """Seconds of one training pair, made among `PAIRS` at once."""
     import jax
 
-    from sonarjax._cache import enable_compilation_cache
     from sonarjax.data import make_pairs, split_key
 
-    enable_compilation_cache()  # they take minutes to compile
     key = split_key(0, "train")
     return [fastest(lambda: jax.block_until_ready(make_pairs(PAIRS, key=key)), 2, settings.one_core) / PAIRS]
 
 
 def in_process(side: str, width: int, settings: Settings) -> list[float]:
-    """The three times of one side, measured by a fresh process that has the cores to itself."""
-    command = [sys.executable, "-m", "experiments.bench_train", "--side", side, "--widths", str(width)]
-    command += ["--batch", str(settings.batch), "--steps", str(settings.steps)]
-    command += ["--one-core"] if settings.one_core else []
+    """The times of one side, measured by a fresh process that has the cores to itself."""
+    command = [sys.executable, "-c", SIDE, side, str(width), json.dumps(asdict(settings))]
     done = subprocess.run(command, cwd=PROJECT, capture_output=True, text=True, check=False)
     if done.returncode:
-        raise RuntimeError(f"{side}, width {width}: {done.stderr[-2000:]}")
+        raise SonarjaxError(f"{side}, width {width}: {done.stderr[-2000:]}")
     return json.loads(done.stdout.splitlines()[-1])
 
 
-def run(settings: Settings) -> dict[str, Any]:
-    """Seconds, images/s and ratios (ours over PyTorch's, in images/s) of each width and kind of work."""
-    if settings.smoke:
-        settings = replace(settings, widths=(4,), batch=2, steps=2, rounds=1)
-    sides = ("ours", "torch") if importlib.util.find_spec("torch") else ("ours",)
+def one_side() -> None:
+    """What a process that `in_process` starts does: print the times of its side."""
+    side, width, settings = sys.argv[1], int(sys.argv[2]), Settings(**json.loads(sys.argv[3]))
+    if settings.one_core and hasattr(os, "sched_setaffinity"):  # before either library starts its threads
+        os.sched_setaffinity(0, [max(os.sched_getaffinity(0))])
+    keep_memory()  # as training does; for both sides
+    print(json.dumps({"ours": time_ours, "torch": time_torch, "pairs": time_pairs}[side](width, settings)))
+
+
+def run(settings: Settings, job: Job) -> Report:
+    """Seconds and images/s of each side by width and kind of work, and pairs made a second."""
+    if settings.peer:
+        need("torch", "PyTorch")
     load, rows = os.getloadavg()[0], []
     for width in settings.widths:
-        rounds: dict[str, list[list[float]]] = {side: [] for side in sides}
-        for _ in range(settings.rounds):
-            for side in sides:
-                rounds[side].append(in_process(side, width, settings))
-        best = {side: np.min(times, 0).tolist() for side, times in rounds.items()}
-        for k, work in enumerate(WORK):
-            seconds = {side: best[side][k] for side in sides}
-            rows.append({"width": width, "work": work, "seconds": seconds, "images": _images(seconds, work, settings)})
-    used = 1 if settings.one_core else cores()
-    pairs = math.nan if settings.smoke else 1 / in_process("pairs", 0, settings)[0]
-    return {"rows": rows, "pairs": pairs, "batch": settings.batch, "load": (load, os.getloadavg()[0]), "cores": used}
+        rows += compare(width, settings)
+    return {
+        "rows": rows,
+        "pairs": 1 / in_process("pairs", 0, settings)[0] if settings.pairs else None,
+        "batch": settings.batch,
+        "load": [load, os.getloadavg()[0]],
+        "cores": 1 if settings.one_core else cores(),
+    }
 
 
-def _images(seconds: dict[str, float], work: str, settings: Settings) -> dict[str, float]:
-    count = 1 if work == "one patch" else settings.batch
-    return {side: count / value for side, value in seconds.items()}
+def compare(width: int, settings: Settings) -> list[dict[str, Any]]:
+    """One row for each kind of work at one width: the fastest of all rounds of each side."""
+    sides = ("ours", "torch") if settings.peer else ("ours",)
+    rounds: dict[str, list[list[float]]] = {side: [] for side in sides}
+    for _ in range(settings.rounds):
+        for side in sides:
+            rounds[side].append(in_process(side, width, settings))
+    best = {side: np.min(times, 0).tolist() for side, times in rounds.items()}
+    rows = []
+    for k, work in enumerate(WORK):
+        count = 1 if work == "one patch" else settings.batch
+        seconds = {side: best[side][k] for side in sides}
+        images = {side: count / value for side, value in seconds.items()}
+        rows.append({"width": width, "work": work, "seconds": seconds, "images": images, "ratio": _ratio(images)})
+    return rows
 
 
-def ratio(row: dict[str, Any]) -> float:
-    """Ours over PyTorch's images/s; NaN without PyTorch."""
-    return row["images"]["ours"] / row["images"].get("torch", float("nan"))
+def _ratio(images: dict[str, float]) -> float | None:
+    """Ours over PyTorch's images/s."""
+    return images["ours"] / images["torch"] if "torch" in images else None
 
 
-def table(report: dict[str, Any]) -> str:
-    """The report as text, one line for each width and kind of work."""
+def table(report: Report) -> str:
+    """One line for each width and kind of work."""
     before, after = report["load"]
-    lines = [
-        f"pix2pix, 128 x 128, batch {report['batch']}, {report['cores']} core(s) (load {before:.1f} to {after:.1f})",
-        f"{'width':>5} {'work':<10} {'ours [ms]':>10} {'images/s':>9} {'torch [ms]':>11} {'images/s':>9} {'ratio':>6}",
-    ]
+    rows = []
     for row in report["rows"]:
-        seconds, images = row["seconds"], row["images"]
-        there = seconds.get("torch", float("nan")), images.get("torch", float("nan"))
-        lines.append(
-            f"{row['width']:>5} {row['work']:<10} {1e3 * seconds['ours']:>10.2f} {images['ours']:>9.1f}"
-            f" {1e3 * there[0]:>11.2f} {there[1]:>9.1f} {ratio(row):>6.2f}"
-        )
-    lines.append(f"training pairs: {report['pairs']:.0f} made a second")
-    return "\n".join(lines)
-
-
-def main(settings: Settings) -> None:
-    """Print the table, or in a process of one side its three times."""
-    if settings.side:
-        if settings.one_core and hasattr(os, "sched_setaffinity"):  # before either library starts its threads
-            os.sched_setaffinity(0, [max(os.sched_getaffinity(0))])
-        keep_memory()  # as training does; for both sides
-        side = {"ours": time_ours, "torch": time_torch, "pairs": time_pairs}[settings.side]
-        print(json.dumps(side(settings.widths[0], settings)))
-    else:
-        print(table(run(settings)))
+        times = [f"{1e3 * row['seconds'][side]:.2f}" if side in row["seconds"] else None for side in ("ours", "torch")]
+        speeds = [f"{row['images'][side]:.1f}" if side in row["images"] else None for side in ("ours", "torch")]
+        rows.append([row["width"], row["work"], times[0], speeds[0], times[1], speeds[1], row["ratio"]])
+    head = ("width", "work", "ours [ms]", "images/s", "PyTorch [ms]", "images/s", "ours / PyTorch")
+    lines = [
+        f"pix2pix, 128 × 128, batch {report['batch']}, {report['cores']} core(s) (load {before:.1f} to {after:.1f})",
+        markdown(head, rows),
+    ]
+    return "\n".join(lines + ([f"\ntraining pairs: {report['pairs']:.0f} made a second"] if report["pairs"] else []))
 
 
 if __name__ == "__main__":
-    main(parse(Settings, __doc__))
+    launch(run, Settings, table, smoke=SMOKE)

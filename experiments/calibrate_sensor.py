@@ -1,21 +1,20 @@
-"""How hard the sensor model's frames are: correlation of unsegmented frames of §4.1 with their own template (Table 4).
+"""How hard are the sensor model's frames? Correlation of unsegmented frames of §4.1 with their own template (Table 4).
 
-python -m experiments.calibrate_sensor [--severity 1] [--help]
+python -m experiments.calibrate_sensor [--preset smoke] [--help]
 
-Prints the mean normalised cross-correlation (eq. 4) by set, of validation frames, for the template of the true yaw bin
+The mean normalised cross-correlation (eq. 4) by set, of validation frames, for the template of the true yaw bin
 and for wrong ones, beside the paper's Table 4. The constants of `SensorModel` are set by these correlations alone:
 accuracy, thresholds and test frames play no part. Wrong templates are the target's at quarter turns from the truth, as
 in Table 4, and all of those 30° or more from it; the non-target's frames are matched with the target's whole bank.
+Leaves a picture of one frame of each set.
 """
 
 from __future__ import annotations
 
-import argparse
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -24,23 +23,33 @@ from tqdm import tqdm
 
 import sonarjax as sj
 from experiments.common.frames import GROUND_RANGE_M, TILTS_DEG, sonar_for
+from experiments.common.launch import Report, launch
+from experiments.common.metrics import markdown
+from experiments.common.paper import TABLE_4
+from experiments.common.runs import Job
+from experiments.common.tables import off_diagonal
 from experiments.fit_threshold import VALIDATION_SEED
+from sonarjax.io import write_png
 from sonarjax.sensor import SensorModel, observe_scene
 
-PAPER_OWN = (0.5972, 0.6446, 0.4726, 0.5735)
-"""Table 4: correlation of the target's frames at 0, 90, 180 and 270° with their own template."""
-PAPER_WRONG = 0.4709
-"""Table 4: the largest correlation with the template of another yaw."""
 BINS = 36
 SLACK = (6, 2)  # (bins, beams) around the templates' box that the template may slide over
 
 
+COLUMNS = {
+    "own": "own template",
+    "quarter": "quarter turns",
+    "wrong": "other yaws",
+    "other": "non-target",
+}
+"""Correlations (frame,): of target frames with the template of their own yaw bin, the best of those at 90, 180 and
+270° to it, the best of those at 30° to it or more; of non-target frames with the best of the target's templates."""
+
+
 @dataclass(frozen=True)
 class Settings:
-    """What is measured; every field is a command line option."""
+    """What is measured, on the validation draw of §4.1."""
 
-    seed: int = VALIDATION_SEED
-    """Root seed of the frames: the validation draw of §4.1, not the test's."""
     severity: float = 1.0
     """Severity of the sensor model [1]."""
     step_deg: int = 10
@@ -49,23 +58,6 @@ class Settings:
     """Uniform offset of each yaw within ± this [deg]."""
     drawn: bool = False
     """Draw another device of the family for every frame instead of the nominal one."""
-    pictures: str = ""
-    """PNG file with one frame of each tilt, near range at the bottom; none by default."""
-
-
-class Correlations(NamedTuple):
-    """Correlations of one set's frames."""
-
-    own: np.ndarray
-    """Target frames with the template of their own yaw bin (frame,)."""
-    quarter: np.ndarray
-    """Target frames with the best of those at 90, 180 and 270° to it (frame,)."""
-    wrong: np.ndarray
-    """Target frames with the best of those at 30° to it or more (frame,)."""
-    other: np.ndarray
-    """Non-target frames with the best of the target's templates (frame,)."""
-    right_bin: np.ndarray
-    """Whether the best of a target frame's templates is its own (frame,): shown, never tuned."""
 
 
 @partial(jax.jit, static_argnames="drawn")
@@ -77,13 +69,13 @@ def _observed(
     return observe_scene(mesh, pose, sonar, model, key=noise)[0]
 
 
-def measure(tilt_deg: float, settings: Settings, *, key: jax.Array) -> tuple[Correlations, np.ndarray]:
-    """Correlations of one set at `tilt_deg` [deg], and its first target frame (range, beam)."""
+def measure(tilt_deg: float, settings: Settings, *, key: jax.Array) -> tuple[dict[str, list[float]], np.ndarray]:
+    """Correlations by name of one set at `tilt_deg` [deg], and its first target frame (range, beam)."""
     sonar, x = sonar_for(tilt_deg), GROUND_RANGE_M[tilt_deg]
     yaws = np.arange(BINS) * 2 * math.pi / BINS
     bank = sj.template_bank(sj.objects.target(), sonar, yaws, x=x)
     box = _box(bank, sonar)
-    found: dict[str, list[float]] = {name: [] for name in Correlations._fields}
+    found: dict[str, list[float]] = {name: [] for name in (*COLUMNS, "right_bin")}
     first = np.zeros(0)
     for is_target, mesh in ((True, sj.objects.target()), (False, sj.objects.non_target())):
         for yaw_deg in tqdm(range(0, 360, settings.step_deg), desc=f"{tilt_deg:g}°", leave=False):
@@ -94,7 +86,7 @@ def measure(tilt_deg: float, settings: Settings, *, key: jax.Array) -> tuple[Cor
             first = first if first.size else np.asarray(image)
             scores = np.asarray(sj.match_bank(image[box], bank))
             _collect(found, scores, is_target, round(yaw_deg * BINS / 360) % BINS)
-    return Correlations(**{name: np.array(values) for name, values in found.items()}), first
+    return found, first
 
 
 def _collect(found: dict[str, list[float]], scores: np.ndarray, is_target: bool, own: int) -> None:
@@ -115,43 +107,43 @@ def _box(bank: sj.TemplateBank, sonar: sj.Sonar) -> tuple[slice, slice]:
     return rows, columns
 
 
-def table(rows: list[tuple[str, Correlations]]) -> str:
-    """The sets, their mean and the paper's Table 4, as a table for the terminal."""
-    whole = Correlations(*(np.concatenate(parts) for parts in zip(*(c for _, c in rows), strict=True)))
-    lines = [
-        "| set | own template | quarter turns | other yaws | non-target | own bin is best |",
-        "|---|---|---|---|---|---|",
-    ]
-    for name, found in [*rows, ("all", whole)]:
-        cells = [f"{v.mean():.3f} ({v.min():.3f}–{v.max():.3f})" for v in found[:4]]
-        lines.append(f"| {name} | {' | '.join(cells)} | {found.right_bin.mean():.2f} |")
-    own = np.array(PAPER_OWN)
-    lines.append(
-        f"| paper, Table 4 | {own.mean():.3f} ({own.min():.3f}–{own.max():.3f}) | at most {PAPER_WRONG:.3f} | | | |"
-    )
-    return "\n".join(lines)
-
-
-def main() -> None:
-    """Command line of the experiment."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    for field in fields(Settings):
-        kind = {"action": "store_true"} if field.default is False else {"type": type(field.default)}
-        parser.add_argument(f"--{field.name.replace('_', '-')}", default=field.default, **kind)
-    settings = Settings(**vars(parser.parse_args()))
-    key = jax.random.key(settings.seed)
+def run(settings: Settings, job: Job) -> Report:
+    """Correlations of the four sets, and a row for each set and for all."""
+    key = jax.random.key(VALIDATION_SEED + job.seed)
     drawn = TILTS_DEG[int(jax.random.randint(jax.random.fold_in(key, 10**6), (), 0, len(TILTS_DEG)))]
-    rows, pictures = [], []
-    for number, tilt in enumerate((*TILTS_DEG, drawn)):
-        found, picture = measure(tilt, settings, key=jax.random.fold_in(key, number))
-        rows.append((f"{tilt:g}°" if number < len(TILTS_DEG) else f"{tilt:g}° (drawn)", found))
-        pictures.append(picture[::-1, ::-1])
-    print(table(rows))
-    if settings.pictures:
-        from sonarjax.io import write_png
+    sets = {f"{tilt:g}°": (number, tilt) for number, tilt in enumerate(TILTS_DEG)}
+    sets[f"{drawn:g}° (drawn)"] = (len(TILTS_DEG), drawn)
 
-        write_png(Path(settings.pictures), np.concatenate(pictures, axis=1))
+    def part(case: tuple[int, float]) -> dict[str, list[float]]:
+        found, picture = measure(case[1], settings, key=jax.random.fold_in(key, case[0]))
+        write_png(job.folder / f"set_{case[0]}.png", picture[::-1, ::-1])
+        return found
+
+    found = job.map(part, sets, "sets")
+    whole = {name: [v for values in found.values() for v in values[name]] for name in (*COLUMNS, "right_bin")}
+    rows = [{"set": name} | _summary(values) for name, values in (found | {"all": whole}).items()]
+    return {"rows": rows, "correlations": found}
+
+
+def _summary(found: dict[str, list[float]]) -> dict[str, Any]:
+    """Mean, least and largest correlation by name, and how often a target frame's best template is its own."""
+    ends = {name: [float(np.mean(found[name])), min(found[name]), max(found[name])] for name in COLUMNS}
+    return ends | {"right_bin": float(np.mean(found["right_bin"]))}  # shown, never tuned
+
+
+def table(report: Report) -> str:
+    """The sets, their mean and the paper's Table 4: means, and ranges in parentheses."""
+    own, wrong = np.diag(TABLE_4), off_diagonal(TABLE_4).max()
+    rows = [
+        [row["set"], *(_range(*row[name]) for name in COLUMNS), f"{row['right_bin']:.2f}"] for row in report["rows"]
+    ]
+    paper = ["paper, Table 4", _range(own.mean(), own.min(), own.max()), f"at most {wrong:.3f}", None, None, None]
+    return markdown(("set", *COLUMNS.values(), "own bin is best"), [*rows, paper])
+
+
+def _range(mean: float, least: float, largest: float) -> str:
+    return f"{mean:.3f} ({least:.3f}–{largest:.3f})"
 
 
 if __name__ == "__main__":
-    main()
+    launch(run, Settings, table, smoke={"step_deg": 180})

@@ -1,24 +1,27 @@
-"""How `recognize` should refine: yaw errors on validation frames (another seed than the test's) for several settings.
+"""How should `recognize` refine? Yaw errors on validation frames (another seed than the test's) for several settings.
 
-Refined is on the segmenter's map, on the frame itself, or on the map and then on the frame.
-python -m experiments.fit_refinement [--segmenters pix2pix,none] [--step-deg 30]: one row a setting and segmenter,
-best first; what stands in `sonarjax.recognize.REFINEMENT` is marked. Test frames and real frames play no part.
+python -m experiments.fit_refinement [--preset smoke] [--help]
+
+Refined is on the segmenter's map, on the frame itself, or on the map and then on the frame: one row a setting and
+segmenter, best first; what stands in `sonarjax.recognize.REFINEMENT` is marked. Test and real frames play no part.
 """
 
 from __future__ import annotations
 
 import itertools
-import math
 from collections import defaultdict
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 from tqdm import tqdm
 
 import sonarjax as sj
-from experiments.bench_render import parse
-from experiments.common.frames import paper_frames, sonar_for
+from experiments.common.frames import TestFrame, paper_frames, sonar_for
+from experiments.common.launch import Report, launch
+from experiments.common.metrics import columns, summary_deg, yaw_error_deg
+from experiments.common.runs import Job
 from experiments.common.segmenters import map_of
 from experiments.fit_threshold import VALIDATION_SEED
 from sonarjax.recognize import REFINED_AGAIN, REFINEMENT
@@ -28,16 +31,30 @@ SHARPNESSES = (0.0, 10.0)
 MARGINS = (REFINEMENT["margin"], None)
 
 
+HEADS = {
+    "segmenter": "segmenter",
+    "median": "median [°]",
+    "p95": "95 % [°]",
+    "on": "on",
+    "blurs": "blurs",
+    "sharpness": "sharpness",
+    "margin": "margin",
+    "used": "",
+}
+
+
 @dataclass(frozen=True)
 class Settings:
-    """What is compared; every field is an option of the command line."""
+    """What is compared."""
 
-    segmenters: str = "pix2pix,none"
-    """Segmenters, separated by commas."""
+    segmenters: tuple[str, ...] = ("pix2pix", "none")
+    """Segmenters whose maps are refined on."""
     step_deg: int = 30
     """Yaw step of the validation frames [deg]."""
     severity: float = 1.0
     """Severity of the sensor model [1]."""
+    most: int = 0
+    """How many blurs, sharpnesses and margins are tried together at most; 0 for all."""
 
 
 class Way(NamedTuple):
@@ -56,38 +73,50 @@ class Way(NamedTuple):
         return self.on == on and self._asdict().items() >= {name: used[name] for name in self._fields[1:]}.items()
 
 
-def errors(segmenter: str, settings: Settings) -> dict[Way, np.ndarray]:
-    """Yaw errors (frame,) [deg] of each way, from where `recognize` starts refining."""
-    frames = paper_frames(VALIDATION_SEED, yaw_offset_deg=5.0, step_deg=settings.step_deg, severity=settings.severity)
+def run(settings: Settings, job: Job) -> Report:
+    """One row for each segmenter and way, best first."""
+    frames = paper_frames(
+        VALIDATION_SEED + job.seed, yaw_offset_deg=5.0, step_deg=settings.step_deg, severity=settings.severity
+    )
+    targets = [frame for frame in frames if frame.is_target]
+    found = job.map(partial(_measure, targets, settings.most), settings.segmenters, "segmenters")
+    return {"frames": len(targets), "rows": [row for rows in found.values() for row in rows]}
+
+
+def _measure(frames: list[TestFrame], most: int, segmenter: str) -> list[dict[str, Any]]:
+    rows = [
+        {"segmenter": segmenter} | summary_deg(found) | way._asdict() | {"used": way.is_used(segmenter)}
+        for way, found in errors(frames, segmenter, most).items()
+    ]
+    return sorted(rows, key=lambda row: row["p95"])
+
+
+def errors(frames: list[TestFrame], segmenter: str, most: int) -> dict[Way, np.ndarray]:
+    """Yaw errors (frame,) [deg] of each way, from where `recognize` starts refining; 0 for `most` is all ways."""
+    settings = list(itertools.product(BLURS, SHARPNESSES, MARGINS))[: most or None]
     mesh = sj.objects.target()
     found: dict[Way, list[float]] = defaultdict(list)
-    for frame in tqdm([f for f in frames if f.is_target], desc=segmenter, unit="frame"):
+    for frame in tqdm(frames, desc=segmenter, unit="frame", leave=False):
         sonar, semantic = sonar_for(frame.tilt_deg), map_of(segmenter, frame)
         start = sj.recognize(semantic, mesh, sonar, segmenter="none", refine=False)
         pose = sj.Pose(start.x, start.y, start.yaw)
         first = sj.refine_yaw(semantic, mesh, sonar, pose, **REFINEMENT).pose
-        for setting in itertools.product(BLURS, SHARPNESSES, MARGINS):
+        for setting in settings:
             changed = REFINEMENT | dict(zip(Way._fields[1:], setting, strict=True))
             estimates = {"frame": sj.refine_yaw(frame.image, mesh, sonar, pose, **changed)}
             if segmenter != "none":
                 estimates["map"] = sj.refine_yaw(semantic, mesh, sonar, pose, **changed)
                 estimates["both"] = sj.refine_yaw(frame.image, mesh, sonar, first, **changed)
             for on, estimate in estimates.items():
-                gap = math.remainder(float(estimate.yaw) - frame.yaw, 2 * math.pi)
-                found[Way(on, *setting)].append(abs(math.degrees(gap)))
+                found[Way(on, *setting)].append(float(yaw_error_deg(estimate.yaw, frame.yaw)))
     return {way: np.array(values) for way, values in found.items()}
 
 
-def main(settings: Settings) -> None:
-    """Print one table a segmenter."""
-    for segmenter in settings.segmenters.split(","):
-        rows = errors(segmenter, settings)
-        print(f"{segmenter}: {len(next(iter(rows.values())))} frames; error of the refined yaw [deg]")
-        for way in sorted(rows, key=lambda way: float(np.percentile(rows[way], 95))):
-            print(f"  median {np.median(rows[way]):5.2f}  95 % {np.percentile(rows[way], 95):5.2f}  on {way.on:<5}  "
-                  f"blurs {way.blurs}  sharpness {way.sharpness:g}  margin {way.margin}"
-                  f"{'  <- used' if way.is_used(segmenter) else ''}", flush=True)  # fmt: skip
+def table(report: Report) -> str:
+    """The rows as a table; what is used is marked."""
+    rows = [row | {"used": "used" if row["used"] else ""} for row in report["rows"]]
+    return f"{report['frames']} frames; error of the refined yaw\n\n{columns(rows, HEADS)}"
 
 
 if __name__ == "__main__":
-    main(parse(Settings, __doc__))
+    launch(run, Settings, table, smoke={"segmenters": ("none",), "step_deg": 180, "most": 1})

@@ -1,20 +1,47 @@
-"""Thresholds of eq. 5 from validation frames (another seed than the test's): the midpoint that errs least.
+"""Which least score identifies a target (eq. 5)? The threshold that errs least on validation frames.
 
-Prints what stands in `sonarjax.recognize.THRESHOLDS` and `experiments.common.segmenters`. Test frames play no part.
+python -m experiments.fit_threshold [--preset smoke] [--help]
+
+Validation frames have another seed than the test's, which play no part. The thresholds found stand in
+`sonarjax.recognize.THRESHOLDS` and `experiments.common.segmenters`.
 """
 
 from __future__ import annotations
 
-import argparse
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
 
 import sonarjax as sj
-from experiments.common.frames import paper_frames, sonar_for
+from experiments.common.frames import TestFrame, paper_frames, sonar_for
+from experiments.common.launch import Report, launch
+from experiments.common.metrics import columns
+from experiments.common.runs import Job
 from experiments.common.segmenters import available, map_of
 
 VALIDATION_SEED = 1000
+"""Added to a run's seed: no experiment's test frames have it."""
+HEADS = {
+    "segmenter": "segmenter",
+    "threshold": "threshold",
+    "target": "mean score of targets",
+    "least_target": "least",
+    "other": "mean score of the other object",
+    "largest_other": "largest",
+}
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What is fitted."""
+
+    step_deg: int = 20
+    """Yaw step of the validation frames [deg]."""
+    segmenters: tuple[str, ...] = available()
+    """Segmenters, each with a threshold of its own."""
 
 
 def best_threshold(target: np.ndarray, other: np.ndarray) -> float:
@@ -28,25 +55,34 @@ def best_threshold(target: np.ndarray, other: np.ndarray) -> float:
     return float((edges[widest[0]] + edges[widest[-1] + 1]) / 2)
 
 
-def main() -> None:
-    """Command line of the experiment."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--step-deg", type=int, default=20, help="yaw step of the validation frames [deg]")
-    parser.add_argument("--segmenters", default=",".join(available()), help="which, separated by commas")
-    settings = parser.parse_args()
-    frames = paper_frames(VALIDATION_SEED, yaw_offset_deg=5.0, step_deg=settings.step_deg)
+def run(settings: Settings, job: Job) -> Report:
+    """One row for each segmenter."""
+    frames = paper_frames(VALIDATION_SEED + job.seed, yaw_offset_deg=5.0, step_deg=settings.step_deg)
+    found = job.map(partial(_measure, frames), settings.segmenters, "segmenters")
+    return {"rows": [{"segmenter": name} | values for name, values in found.items()]}
+
+
+def _measure(frames: list[TestFrame], name: str) -> dict[str, Any]:
     mesh = sj.objects.target()
-    for name in settings.segmenters.split(","):
-        scores: dict[bool, list[float]] = {True: [], False: []}
-        for frame in tqdm(frames, desc=name, unit="frame"):
-            sonar = sonar_for(frame.tilt_deg)
-            result = sj.recognize(map_of(name, frame), mesh, sonar, segmenter="none", refine=False, threshold=0.0)
-            scores[frame.is_target].append(result.score)
-        target, other = np.array(scores[True]), np.array(scores[False])
-        cut = best_threshold(target, other)
-        print(f"{name}: threshold {cut:.3f}; targets {target.mean():.3f} (least {target.min():.3f}), "
-              f"non-targets {other.mean():.3f} (largest {other.max():.3f})", flush=True)  # fmt: skip
+    scores: dict[bool, list[float]] = {True: [], False: []}
+    for frame in tqdm(frames, desc=name, unit="frame", leave=False):
+        sonar = sonar_for(frame.tilt_deg)
+        result = sj.recognize(map_of(name, frame), mesh, sonar, segmenter="none", refine=False, threshold=0.0)
+        scores[frame.is_target].append(result.score)
+    target, other = np.array(scores[True]), np.array(scores[False])
+    return {
+        "threshold": best_threshold(target, other),
+        "target": float(target.mean()),
+        "least_target": float(target.min()),
+        "other": float(other.mean()),
+        "largest_other": float(other.max()),
+    }
+
+
+def table(report: Report) -> str:
+    """The rows as a table."""
+    return columns(report["rows"], HEADS)
 
 
 if __name__ == "__main__":
-    main()
+    launch(run, Settings, table, smoke={"step_deg": 180, "segmenters": ("none", "otsu")})

@@ -1,9 +1,10 @@
 """Are the renderer's visibility gradients right? Against central differences of a converged render, over random scenes.
 
-python -m experiments.gradient_check [--poses N] [--smoke]: prints one table and draws runs/gradient_check/quality.png;
-`run` returns its numbers. Two losses of the semantic window to a fixed target (sum of squared differences, 1 - NCC) are
-differentiated by yaw, x and y at each quality; an error is divided by the RMS of that derivative over all scenes.
-`--poses N` also looks for NaN and infinity in value and gradient over N poses, degenerate ones among them; 0 skips it.
+python -m experiments.gradient_check [--preset smoke] [--help]
+
+Two losses of the semantic window to a fixed target (sum of squared differences, 1 - NCC) are differentiated by yaw, x
+and y at each quality; an error is divided by the RMS of that derivative over all scenes. Then value and gradient are
+searched for NaN and infinity over many poses, degenerate ones among them. Leaves quality.png.
 """
 
 from __future__ import annotations
@@ -13,13 +14,15 @@ import time
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from experiments.bench_render import parse
+from experiments.common.launch import Report, launch
+from experiments.common.metrics import markdown
+from experiments.common.runs import Job
 from sonarjax.refine.yaw import SUB_BEAMS
 from sonarjax.render import Window, place_window, render_window, semantic_window, window_shape
 from sonarjax.scene import Mesh, Pose, objects
@@ -42,11 +45,11 @@ SMALL = SONAR.replace(azimuth=jnp.asarray(np.radians((np.arange(24) - 11.5) * 29
 
 @dataclass(frozen=True)
 class Settings:
-    """What is checked; every field is a command line option."""
+    """What is checked."""
 
     scenes: int = 14
     """Random scenes of each mesh."""
-    meshes: tuple[str, ...] = tuple(MESHES)
+    meshes: tuple[Literal["target", "non_target", "cylinder"], ...] = ("target", "non_target", "cylinder")
     """Which objects."""
     qualities: tuple[int, ...] = (1, 2, 4)
     """Values of the quality knob `sub_beams`."""
@@ -55,13 +58,20 @@ class Settings:
     forward: int = 8
     """The forward image is compared with one of that many times the sub-beams and elevations; 0 leaves this out."""
     poses: int = 100_000
-    """Poses that are searched for NaN and infinity."""
-    seed: int = 0
-    """Seed of the scenes and poses."""
-    out: str = "runs/gradient_check"
-    """Folder of the figure."""
-    smoke: bool = False
-    """A run of seconds: three scenes of one mesh, refinement's quality alone, 200 poses, no forward check."""
+    """Poses that are searched for NaN and infinity; 0 leaves this out."""
+
+
+class Scene(NamedTuple):
+    """A scene and the target that its picture is compared with."""
+
+    mesh: Mesh
+    sonar: Sonar
+    at: np.ndarray
+    """Where the object is: (yaw, x, y)."""
+    off: np.ndarray
+    """How far from there it is in the target."""
+    shape: tuple[int, int]
+    """Range bins and beams of the window."""
 
 
 def load_meshes(names: tuple[str, ...]) -> dict[str, Mesh]:
@@ -128,8 +138,9 @@ def central(values: np.ndarray) -> np.ndarray:
     return ((up - down) / (2 * STEPS[..., None])).mean(1).T
 
 
-def check_scene(mesh: Mesh, sonar: Sonar, at: np.ndarray, off: np.ndarray, shape: Any, settings: Settings) -> dict:
+def check_scene(settings: Settings, scene: Scene) -> dict[str, Any]:
     """One scene: differences and, for each quality, derivatives, seconds and forward errors."""
+    mesh, sonar, at, off, shape = scene
     window = place_window(shape, mesh, sonar, float(at[1]), float(at[2]))
     corner = (window.row, window.column)
     steps = np.eye(3)[:, None] * STEPS[..., None]  # (parameter, step, 3)
@@ -142,16 +153,16 @@ def check_scene(mesh: Mesh, sonar: Sonar, at: np.ndarray, off: np.ndarray, shape
     found: dict[str, Any] = {"truth": central(values), "ours": {}, "seconds": {}, "forward": {}}
     p, aim = jnp.asarray(at, jnp.float32), jnp.asarray(drawn[-1], jnp.float32)
     for quality in settings.qualities:
-        found["ours"][quality] = np.asarray(derivatives(mesh, sonar, p, *corner, aim, quality), np.float64)
+        found["ours"][str(quality)] = np.asarray(derivatives(mesh, sonar, p, *corner, aim, quality), np.float64)
         start = time.perf_counter()
         derivatives(mesh, sonar, p, *corner, aim, quality).block_until_ready()
-        found["seconds"][quality] = time.perf_counter() - start
+        found["seconds"][str(quality)] = time.perf_counter() - start
     if settings.forward:
         best = settings.forward * max(settings.qualities)
         finer = layers(mesh, sonar, p, *corner, shape, best, settings.forward * ELEVATIONS)
         for quality in settings.qualities:
             rough = layers(mesh, sonar, p, *corner, shape, quality, ELEVATIONS)
-            found["forward"][quality] = [
+            found["forward"][str(quality)] = [
                 float(jnp.sqrt(((a - b) ** 2).sum() / (b**2).sum())) for a, b in zip(rough, finer, strict=True)
             ]
     return found
@@ -163,27 +174,22 @@ def host_losses(image: np.ndarray, aim: np.ndarray) -> np.ndarray:
     return np.array([((image - aim) ** 2).sum(), 1 - (a * b).sum() / np.sqrt((a * a).sum() * (b * b).sum())])
 
 
-def check_scenes(settings: Settings) -> list[dict[str, Any]]:
-    """All scenes of all meshes."""
-    from tqdm import tqdm
-
-    meshes = load_meshes(settings.meshes)
-    rng, found = np.random.default_rng(settings.seed), []
-    with tqdm(total=len(meshes) * settings.scenes, desc="scenes", unit="scene") as bar:
-        for name, mesh in meshes.items():
-            shapes = [window_shape(mesh, SONAR, ground, 0.03) for ground in (NEAREST, math.hypot(FARTHEST, SIDE))]
-            shape = max(s[0] for s in shapes), max(s[1] for s in shapes)
-            for k in range(settings.scenes):
-                sonar = SONAR.replace(tilt=jnp.float32(math.radians(TILTS[k % len(TILTS)])))
-                at = rng.uniform([0.0, NEAREST, -SIDE], [2 * math.pi, FARTHEST, SIDE])
-                turned = rng.choice([-1, 1]) * rng.uniform(0.05, 0.15)
-                off = np.array([turned, *rng.uniform(-0.012, 0.012, 2)])
-                found.append({"mesh": name, **check_scene(mesh, sonar, at, off, shape, settings)})
-                bar.update()
+def draw_scenes(settings: Settings, seed: int) -> dict[str, Scene]:
+    """All scenes of all meshes by name."""
+    rng, found = np.random.default_rng(seed), {}
+    for name, mesh in load_meshes(settings.meshes).items():
+        shapes = [window_shape(mesh, SONAR, ground, 0.03) for ground in (NEAREST, math.hypot(FARTHEST, SIDE))]
+        shape = max(s[0] for s in shapes), max(s[1] for s in shapes)
+        for k in range(settings.scenes):
+            sonar = SONAR.replace(tilt=jnp.float32(math.radians(TILTS[k % len(TILTS)])))
+            at = rng.uniform([0.0, NEAREST, -SIDE], [2 * math.pi, FARTHEST, SIDE])
+            turned = rng.choice([-1, 1]) * rng.uniform(0.05, 0.15)
+            off = np.array([turned, *rng.uniform(-0.012, 0.012, 2)])
+            found[f"{name} {k}"] = Scene(mesh, sonar, at, off, shape)
     return found
 
 
-def summary(scenes: list[dict[str, Any]], quality: int) -> dict[str, Any]:
+def summary(scenes: list[dict[str, Any]], quality: str) -> dict[str, Any]:
     """Error over RMS of each loss and parameter (median, 95th percentile, share of right signs), cost, forward RMS.
 
     A derivative that is zero by symmetry (yaw of a cylinder) counts as every other: its error is divided by the
@@ -196,11 +202,12 @@ def summary(scenes: list[dict[str, Any]], quality: int) -> dict[str, Any]:
     right = ((np.sign(ours) == np.sign(truth)) & clear).sum(0) / clear.sum(0)
     forward = [scene["forward"][quality] for scene in scenes if scene["forward"]]
     return {
-        "median": np.median(error, 0), "p95": np.percentile(error, 95, axis=0), "sign": right, "clear": clear.sum(0),
+        "median": np.median(error, 0).tolist(), "p95": np.percentile(error, 95, axis=0).tolist(),
+        "sign": right.tolist(), "clear": clear.sum(0).tolist(),
         "finite": bool(np.isfinite(ours).all()),
         "seconds": float(np.median([scene["seconds"][quality] for scene in scenes])),
-        "forward": np.sqrt(np.mean(np.square(forward), 0)) if forward else None,
-        "forward_worst": np.max(forward, 0) if forward else None,
+        "forward": np.sqrt(np.mean(np.square(forward), 0)).tolist() if forward else None,
+        "forward_worst": np.max(forward, 0).tolist() if forward else None,
     }  # fmt: skip
 
 
@@ -247,25 +254,29 @@ def random_poses(rng: np.random.Generator, count: int) -> np.ndarray:
     return q
 
 
-def check_poses(settings: Settings) -> dict[str, Any]:
+def check_poses(settings: Settings, job: Job) -> dict[str, Any]:
     """How many poses give NaN or infinity, the first of them, and the share of poses at which the object is seen."""
-    from tqdm import tqdm
-
-    mesh, poses = objects.target(), random_poses(np.random.default_rng(settings.seed), settings.poses)
+    mesh, poses = objects.target(), random_poses(np.random.default_rng(job.seed), settings.poses)
     chunk = min(CHUNK, settings.poses)
-    good, largest = [], []
-    for first in tqdm(range(0, len(poses), chunk), desc="poses", unit="chunk"):
+
+    def check(first: int) -> dict[str, Any]:
         part = np.resize(poses[first : first + chunk], (chunk, 8))  # the last chunk is filled up: one compilation
         fine, gradient = (np.asarray(v) for v in finite(mesh, jnp.asarray(part, jnp.float32)))
-        good.append(fine[: len(poses) - first])
-        largest.append(gradient[: len(poses) - first])
-    fine, gradient = np.concatenate(good), np.concatenate(largest)
+        fine, gradient = fine[: len(poses) - first], gradient[: len(poses) - first]
+        return {
+            "bad": poses[first : first + chunk][~fine],
+            "seen": int((gradient > 0).sum()),
+            "largest": float(np.max(gradient, where=np.isfinite(gradient), initial=0.0)),
+        }
+
+    parts = job.map(check, {f"from {first}": first for first in range(0, len(poses), chunk)}, "poses").values()
+    bad = [pose for part in parts for pose in part["bad"]]
     return {
         "poses": len(poses),
-        "bad": int((~fine).sum()),
-        "first": poses[~fine][:3].tolist(),
-        "seen": float((gradient > 0).mean()),
-        "largest": float(np.max(gradient, where=np.isfinite(gradient), initial=0.0)),
+        "bad": len(bad),
+        "first": bad[:3],
+        "seen": sum(part["seen"] for part in parts) / len(poses),
+        "largest": max(part["largest"] for part in parts),
     }
 
 
@@ -285,83 +296,84 @@ def draw(report: dict[str, Any], folder: Path) -> Path:
         cost = [1e3 * report["qualities"][q]["seconds"] for q in qualities]
         for k, parameter in enumerate(PARAMETERS):
             for key, style in (("median", "o-"), ("p95", "s--")):
-                error = [100 * report["qualities"][q][key][loss, k] for q in qualities]
+                error = [100 * report["qualities"][q][key][loss][k] for q in qualities]
                 axes.loglog(cost, error, style, color=f"C{k}", label=f"{parameter}, {key}")
         for q, at in zip(qualities, cost, strict=True):
-            axes.annotate(f"{q}", (at, 1.0), xycoords=("data", "axes fraction"), ha="center", va="bottom", fontsize=8)
+            axes.annotate(q, (at, 1.0), xycoords=("data", "axes fraction"), ha="center", va="bottom", fontsize=8)
         for key in ("median", "p95"):
             axes.axhline(100 * BARS[key], color="grey", lw=0.8, ls=":")
         axes.set(xlabel="both gradients [ms]", title=f"{LOSSES[loss]} (sub_beams above the frame)\n")
         axes.grid(True, which="both", alpha=0.3)
     panels[0].set(ylabel="error / RMS derivative [%]")
     panels[0].legend(fontsize=7)
-    folder.mkdir(parents=True, exist_ok=True)
     figure.savefig(folder / "quality.png", dpi=150)
     plt.close(figure)
     return folder / "quality.png"
 
 
-def run(settings: Settings) -> dict[str, Any]:
+def run(settings: Settings, job: Job) -> Report:
     """Errors, costs and forward convergence for each quality, and the search for values that are not finite."""
-    if settings.smoke:
-        small = {"scenes": 3, "meshes": ("target",), "qualities": (SUB_BEAMS,), "forward": 0}
-        settings = replace(settings, **small, poses=min(settings.poses, 200))
-    scenes = check_scenes(settings)
-    report: dict[str, Any] = {
-        "device": jax.devices()[0].platform,
+    scenes = list(job.map(partial(check_scene, settings), draw_scenes(settings, job.seed), "scenes").values())
+    report: Report = {
+        "platform": jax.devices()[0].platform,
         "scenes": len(scenes),
         "meshes": settings.meshes,
         "converged": settings.converged,
         "finer": settings.forward * max(settings.qualities),
-        "qualities": {quality: summary(scenes, quality) for quality in settings.qualities},
-        "poses": check_poses(settings) if settings.poses > 0 else None,
+        "qualities": {str(quality): summary(scenes, str(quality)) for quality in settings.qualities},
+        "poses": check_poses(settings, job) if settings.poses > 0 else None,
     }
-    report["figure"] = str(draw(report, Path(settings.out)))
+    report["figure"] = draw(report, job.folder)
     return report
 
 
 def verdict(row: dict[str, Any]) -> str:
     """`bars met`, or which are not."""
-    missed = [key for key in ("median", "p95") if not (row[key] <= BARS[key]).all()]
-    missed += ["sign"] if not (row["sign"] >= BARS["sign"]).all() else []
-    if row["forward_worst"] is not None and (row["forward_worst"] > BARS["forward"]).any():
+    missed = [key for key in ("median", "p95") if np.max(row[key]) > BARS[key]]
+    missed += ["sign"] if np.min(row["sign"]) < BARS["sign"] else []
+    if row["forward_worst"] is not None and max(row["forward_worst"]) > BARS["forward"]:
         missed.append("forward")
     missed += [] if row["finite"] else ["finite"]
     return "MISSED: " + ", ".join(missed) if missed else "bars met"
 
 
-def table(report: dict[str, Any]) -> str:
-    """The report as text: a line for each quality, loss and parameter, then forward convergence and poses."""
-    lines = [
-        f"{report['scenes']} scenes of {', '.join(report['meshes'])}; central differences at sub_beams"
-        f" {report['converged']} ({report['device']}); bars: median 8 %, 95 % 25 %, sign 98 %, forward 3 %",
-        f"{'sub_beams':>9} {'ms':>7}  {'loss':<8} {'by':<4} {'median':>8} {'95 %':>8} {'sign':>8} {'of':>4}",
-    ]
+def table(report: Report) -> str:
+    """A row for each quality, loss and parameter, then forward convergence and poses."""
+    head = ("sub_beams", f"ms ({report['platform']})", "loss", "by", "median", "95 %", "sign right", "of")
+    rows, notes = [], []
     for quality, row in report["qualities"].items():
         for i, loss in enumerate(LOSSES):
             for k, parameter in enumerate(PARAMETERS):
-                lines.append(
-                    f"{quality:>9} {1e3 * row['seconds']:>7.2f}  {loss:<8} {parameter:<4} {row['median'][i, k]:>8.1%}"
-                    f" {row['p95'][i, k]:>8.1%} {row['sign'][i, k]:>8.1%} {row['clear'][i, k]:>4}"
-                )
-        default = " (refinement's default)" if quality == SUB_BEAMS else ""
-        lines.append(f"{quality:>9}{default}: {verdict(row)}")
-        if row["forward"] is not None:
-            values = [
-                f"{name} {a:.2%} (worst {b:.2%})"
-                for name, a, b in zip(LAYERS, row["forward"], row["forward_worst"], strict=True)
-            ]
-            lines.append(f"{quality:>9} forward RMS against sub_beams {report['finer']}: {', '.join(values)}")
-    if report["poses"]:
-        poses = report["poses"]
-        lines.append(
-            f"{poses['poses']} poses: {poses['bad']} not finite; seen at {poses['seen']:.0%},"
-            f" largest gradient {poses['largest']:.3g}"
-        )
-        lines += [f"  not finite at (x, y, yaw, z, roll, pitch, tilt, height) = {pose}" for pose in poses["first"]]
-    lines.append(f"figure: {report['figure']}")
+                shares = [f"{row[key][i][k]:.1%}" for key in ("median", "p95", "sign")]
+                rows.append([quality, f"{1e3 * row['seconds']:.2f}", loss, parameter, *shares, row["clear"][i][k]])
+        default = " (refinement's default)" if quality == str(SUB_BEAMS) else ""
+        notes.append(f"sub_beams {quality}{default}: {verdict(row)}{_forward(row, report['finer'])}")
+    lines = [
+        f"{report['scenes']} scenes of {', '.join(report['meshes'])}; central differences at sub_beams"
+        f" {report['converged']}; bars: median 8 %, 95 % 25 %, sign 98 %, forward 3 %",
+        markdown(head, rows), "", *notes, *_poses(report["poses"]), f"figure: {report['figure']}",
+    ]  # fmt: skip
     return "\n".join(lines)
 
 
+def _forward(row: dict[str, Any], finer: int) -> str:
+    if row["forward"] is None:
+        return ""
+    layers = zip(LAYERS, row["forward"], row["forward_worst"], strict=True)
+    values = ", ".join(f"{name} {rms:.2%} (worst {worst:.2%})" for name, rms, worst in layers)
+    return f"; forward RMS against sub_beams {finer}: {values}"
+
+
+def _poses(poses: dict[str, Any] | None) -> list[str]:
+    if poses is None:
+        return []
+    return [
+        f"{poses['poses']} poses: {poses['bad']} not finite; seen at {poses['seen']:.0%},"
+        f" largest gradient {poses['largest']:.3g}",
+        *(f"  not finite at (x, y, yaw, z, roll, pitch, tilt, height) = {pose}" for pose in poses["first"]),
+    ]
+
+
 if __name__ == "__main__":
-    print(table(run(parse(Settings, __doc__))))
+    small = {"scenes": 3, "meshes": ("target",), "qualities": (SUB_BEAMS,), "forward": 0, "poses": 200}
+    launch(run, Settings, table, smoke=small)

@@ -65,7 +65,7 @@ def run(settings: Settings, job: Job) -> Report:
 
 def _frames(settings: Settings, job: Job) -> dict[str, Any]:
     """Fig. 2: simulated frames (yaw, range, beam) of the target, a quarter turn apart."""
-    frames = [f for f in paper_frames(job.seed, step_deg=90) if f.is_target and f.tilt_deg == settings.tilt_deg]
+    frames = [f for f in paper_frames(job.seed, step_deg=90) if f.is_target and f.tilt_deg == settings.tilt_deg][:4]
     return {
         "image": [f.image for f in frames],
         "clean": [f.clean for f in frames],

@@ -1,9 +1,9 @@
-"""Yaw of a real object: `recognize` over the 110 turntable frames of a pipe seen by an ARIS Explorer 3000.
+"""How well is the yaw of a real object found? The 110 turntable frames of a pipe seen by an ARIS Explorer 3000.
 
-python -m experiments.real_turntable [--frames 10] [--help]
+python -m experiments.real_turntable [--preset smoke] [--frames 10] [--help]
 
-Prints the yaw error of every method next to what a plain method reaches, and writes the table, the settings and a
-contact sheet under runs/. The data are not part of the project: see shared/real/README.md beside it.
+The yaw error of every method next to what a plain method reaches; leaves contact sheets. The data are not part of the
+project: --data names their folder, the README beside them says what they are.
 
 What is taken from that README and not from the truth: where the platform is, that the object lies on it (the mesh
 holds its height), that beside it is open water (masked), and that a facet gives highlight only where
@@ -13,15 +13,13 @@ arbitrary, so one constant, the circular median of the differences, is taken out
 
 from __future__ import annotations
 
-import argparse
 import csv
-import json
 import math
 import time
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import jax
 import numpy as np
@@ -29,7 +27,9 @@ from skimage.filters import median as median_filter
 from tqdm import tqdm
 
 import sonarjax as sj
-from sonarjax.io import write_text
+from experiments.common.launch import Report, Skipped, launch
+from experiments.common.metrics import columns, yaw_error_deg
+from experiments.common.runs import Job
 from sonarjax.match import between_bins
 from sonarjax.match.ncc import correlation_maps, prepare_bank
 from sonarjax.plot import draw_outline, plot_polar, save_figure
@@ -38,41 +38,66 @@ from sonarjax.render.bank import bank_place
 from sonarjax.render.region import floor_point
 from sonarjax.segment import semantic_map
 
-PROJECT = Path(__file__).resolve().parents[1]
-TIGHT_MARGIN, WIDE_MARGIN = (2, 1), (40, 8)  # (bins, beams) around the union of all views of a bank
+MARGINS = {"tight crop": (2, 1), "fixed window": (40, 8)}
+"""(bins, beams) around the union of all views of a bank."""
 BASELINES = {
     "none": {"tight crop": (2.3, 6.2), "fixed window": (1.8, 4.8)},
     "otsu": {"tight crop": (2.4, 6.9), "fixed window": (1.7, 4.8)},
 }
 """Median and 90th percentile [deg] of the plain method in the data's README."""
 AIM = (1.7, 4.5)
-SEGMENTERS, SEARCHES = ("none", "otsu", "pix2pix"), ("recognize", "tight crop", "fixed window")
-
-
-def _option(default: Any, text: str) -> Any:
-    return field(default=default, metadata={"help": text})
+Segmenter = Literal["none", "otsu", "pix2pix"]
+Search = Literal["recognize", "tight crop", "fixed window"]
+HEADS = {
+    "segmenter": "segmenter",
+    "search": "search",
+    "yaw": "yaw",
+    "median_deg": "median [°]",
+    "p90_deg": "90 % [°]",
+    "offset_deg": "offset [°]",
+    "off_platform": "off place",
+    "two_hypotheses": "both halves",
+    "frames_per_second": "frames/s",
+}
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What is run; every field is a command line option."""
+    """What is run."""
 
-    data: str = _option(str(PROJECT.parent / "shared" / "real" / "pipe"), "folder with sonar.toml, pipe.stl, frames/")
-    out: str = _option(str(PROJECT / "runs" / "real_turntable"), "folder that the results are written to")
-    frames: int = _option(0, "number of frames, evenly spread over the turn; 0 for all")
-    incidence: float = _option(60.0, "facets struck at a larger angle from their normal give no highlight [deg]")
-    median: int = _option(3, "width of the median filter before matching without a segmenter [pixels]; 1 for none")
-    platform_x: float = _option(1.784, "forward position of the platform's centre [m]")
-    platform_y: float = _option(0.039, "position to port of the platform's centre [m]")
-    mask_radius: float = _option(0.2, "floor farther from the platform's centre is masked [m]; 0 for the file's mask")
-    step: float = _option(5.0, "yaw step of the banks at the platform's centre [deg]; must divide 180")
-    reach: float = _option(
-        0.08, "largest distance of the object from the platform's centre [m]: a 0.24 m pipe on 0.4 m"
-    )
-    segmenters: str = _option("none,otsu,pix2pix", "segmenters to run, separated by commas")
-    searches: str = _option("recognize,tight crop,fixed window", "searches to run, separated by commas")
-    refine: bool = _option(True, "refine the yaw, most of the time on a CPU")
-    sheet: int = _option(40, "frames on the contact sheet, evenly spread; 0 for none")
+    data: str = "../shared/real/pipe"
+    """Folder with sonar.toml, pipe.stl, truth.csv and frames/."""
+    frames: int = 0
+    """Number of frames, evenly spread over the turn; 0 for all."""
+    incidence: float = 60.0
+    """Facets struck at a larger angle from their normal give no highlight [deg]."""
+    median: int = 3
+    """Width of the median filter before matching without a segmenter [pixels]; 1 for none."""
+    platform_x: float = 1.784
+    """Forward position of the platform's centre [m]."""
+    platform_y: float = 0.039
+    """Position to port of the platform's centre [m]."""
+    mask_radius: float = 0.2
+    """Floor farther from the platform's centre is masked [m]; 0 for the file's mask."""
+    step: float = 5.0
+    """Yaw step of the banks at the platform's centre [deg]; must divide 180."""
+    reach: float = 0.08
+    """Largest distance of the object from the platform's centre [m]: a 0.24 m pipe on 0.4 m."""
+    segmenters: tuple[Segmenter, ...] = get_args(Segmenter)
+    """Segmenters to run."""
+    searches: tuple[Search, ...] = get_args(Search)
+    """Searches to run."""
+    refine: bool = True
+    """Refine the yaw, most of the time on a CPU."""
+    sheet: int = 40
+    """Frames on the contact sheet, evenly spread; 0 for none."""
+
+    def __post_init__(self) -> None:
+        """Raises ValueError for values that cannot be used."""
+        if not self.step > 0 or abs(180 / self.step - round(180 / self.step)) > 1e-9:
+            raise ValueError(f"--step must divide 180, got {self.step}")
+        if self.median < 1 or self.median % 2 == 0:
+            raise ValueError(f"--median must be an odd number of pixels, got {self.median}")
 
 
 @dataclass(frozen=True)
@@ -98,7 +123,7 @@ class Found:
     """What one segmenter and one search made of every frame."""
 
     segmenter: str
-    """`none`, `otsu` or `pix2pix`."""
+    """What made the map."""
     search: str
     """`recognize`, or which bank at the known place."""
     yaws: dict[str, list[float]]
@@ -112,11 +137,11 @@ class Found:
 
 
 def load(settings: Settings) -> Data:
-    """Frames, masks, truth, sonar and mesh. Raises SonarjaxError naming what is missing."""
+    """Frames, masks, truth, sonar and mesh. Raises Skipped naming what is missing."""
     folder = Path(settings.data)
     for needed in ("sonar.toml", "pipe.stl", "truth.csv", "frames"):
         if not (folder / needed).exists():
-            raise sj.SonarjaxError(f"{folder / needed}: missing; --data must be the folder of the frames")
+            raise Skipped(f"{folder / needed} is missing: --data must be the folder of the real frames")
     with open(folder / "truth.csv", newline="") as file:
         rows = [(row["frame"], math.radians(float(row["pseudo_yaw_deg"]))) for row in csv.DictReader(file)]
     if 0 < settings.frames < len(rows):
@@ -169,20 +194,20 @@ def by_recognize(data: Data, settings: Settings, segmenter: str) -> Found:
         if settings.refine:
             yaws["refined"].append(result.yaw)
         found.poses.append(sj.Pose(result.x, result.y, result.yaw))
-        others = [abs(_half_turn(h.yaw - result.yaw)) for h in result.hypotheses[1:]]
-        apart = [abs(_turn(h.yaw - result.yaw)) > math.pi / 2 for h in result.hypotheses[1:]]
-        found.partner.append(any(o < math.radians(15) and a for o, a in zip(others, apart, strict=True)))
+        others = [h.yaw for h in result.hypotheses[1:]]
+        halves = yaw_error_deg(others, result.yaw, 180.0) < 15
+        found.partner.append(bool((halves & (yaw_error_deg(others, result.yaw) > 90)).any()))
     return found
 
 
-def at_known_place(data: Data, settings: Settings, segmenter: str, search: str, margin: tuple[int, int]) -> Found:
+def at_known_place(data: Data, settings: Settings, segmenter: str, search: str) -> Found:
     """One bank at the platform's centre, matched at all positions, then refined from where it matched best."""
     yaws: dict[str, list[float]] = {"bin": [], "bin, parabola": []} | ({"refined": []} if settings.refine else {})
     found = Found(segmenter, search, yaws, [], [], [])
     half = round(180 / settings.step)
     angles = np.arange(2 * half) * (math.pi / half)
     place = {"x": settings.platform_x, "y": settings.platform_y}
-    bank = sj.template_bank(data.mesh, data.sonar, angles, **place, margin=margin, shape=data.sonar.shape)
+    bank = sj.template_bank(data.mesh, data.sonar, angles, **place, margin=MARGINS[search], shape=data.sonar.shape)
     prepared = prepare_bank(bank, data.sonar.shape, masked=True)
     height, width = bank.templates.shape[1:]
     rows, columns = (np.arange(n - m + 1) for n, m in zip(data.sonar.shape, (height, width), strict=True))
@@ -224,10 +249,6 @@ def _moved(sonar: sj.Sonar, bank: sj.TemplateBank, rows: np.ndarray, columns: np
     return np.asarray(x), np.asarray(y)
 
 
-def _turn(angle: Any) -> Any:
-    return (np.asarray(angle) + math.pi) % (2 * math.pi) - math.pi
-
-
 def _half_turn(angle: Any) -> Any:
     return (np.asarray(angle) + math.pi / 2) % math.pi - math.pi / 2
 
@@ -241,57 +262,53 @@ def errors_deg(found: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, float]
     return (gaps - offset + 90) % 180 - 90, float((offset + 90) % 180 - 90)
 
 
-def run(settings: Settings) -> dict[str, Any]:
-    """Recognize the frames, print nothing, write table.txt, results.json and the contact sheets; return the report."""
+def run(settings: Settings, job: Job) -> Report:
+    """A row for each segmenter, search and reading of the yaw; what was found in each frame; contact sheets."""
     data = load(settings)
-    report: dict[str, Any] = {
-        "settings": asdict(settings),
-        "device": jax.devices()[0].device_kind,
+    cases = {f"{search}, {name}": (name, search) for name in settings.segmenters for search in settings.searches}
+    found = job.map(partial(_measure, data, settings, job.folder), cases, "segmenters")
+    sheets = [part["sheet"] for part in found.values() if part.get("sheet")]
+    if settings.sheet > 0 and "pix2pix" in settings.segmenters:
+        sheets.append(_draw_maps(job.folder / "maps_pix2pix.png", data, settings))
+    return {
         "frames": len(data.names),
-        "rows": [],
-        "failures": [],
-        "per_frame": {"frame": data.names, "truth_deg": np.degrees(data.truth).tolist()},
+        "rows": [row for part in found.values() for row in part["rows"]],
+        "failures": [f"{name}: {part['failure']}" for name, part in found.items() if part["failure"]],
+        "per_frame": {
+            "frame": data.names,
+            "truth_deg": np.degrees(data.truth),
+            **{key: value for part in found.values() for key, value in part["per_frame"].items()},
+        },
+        "sheets": sheets,
     }
-    out = Path(settings.out)
-    out.mkdir(parents=True, exist_ok=True)
-    for segmenter in settings.segmenters.split(","):
-        for search, method in _methods(data, settings, segmenter).items():
-            try:
-                found = method()
-            except sj.SonarjaxError as error:
-                report["failures"].append(f"{search}, {segmenter}: {error}")
-                continue
-            _add_rows(report, found, data.truth, settings)
-            if settings.sheet > 0 and search in ("recognize", "fixed window"):
-                path = out / f"sheet_{search.replace(' ', '_')}_{segmenter}.png"
-                _draw_sheet(path, data, settings, found)
-                report.setdefault("sheets", []).append(str(path))
-    if settings.sheet > 0 and "pix2pix" in settings.segmenters.split(","):
-        report["sheets"].append(str(_draw_maps(out / "maps_pix2pix.png", data, settings)))
-    write_text(out / "table.txt", table(report) + "\n")
-    write_text(out / "results.json", json.dumps(report, indent=1))
-    return report
 
 
-def _methods(data: Data, settings: Settings, segmenter: str) -> dict[str, Callable[[], Found]]:
-    def known(search: str, margin: tuple[int, int]) -> Callable[[], Found]:
-        return lambda: at_known_place(data, settings, segmenter, search, margin)
+def _measure(data: Data, settings: Settings, folder: Path, case: tuple[str, str]) -> dict[str, Any]:
+    """Rows and frames of one segmenter and search, and its contact sheet; or why there are none."""
+    segmenter, search = case
+    try:
+        if search == "recognize":
+            found = by_recognize(data, settings, segmenter)
+        else:
+            found = at_known_place(data, settings, segmenter, search)
+    except sj.SonarjaxError as error:
+        return {"rows": [], "per_frame": {}, "failure": str(error)}
+    part = _rows(found, data.truth, settings) | {"failure": None}
+    if settings.sheet > 0 and search in ("recognize", "fixed window"):
+        part["sheet"] = folder / f"sheet_{search.replace(' ', '_')}_{segmenter}.png"
+        _draw_sheet(part["sheet"], data, settings, found)
+    return part
 
-    methods = {
-        "recognize": lambda: by_recognize(data, settings, segmenter),
-        "tight crop": known("tight crop", TIGHT_MARGIN),
-        "fixed window": known("fixed window", WIDE_MARGIN),
-    }
-    return {name: methods[name] for name in settings.searches.split(",")}
 
-
-def _add_rows(report: dict[str, Any], found: Found, truth: np.ndarray, settings: Settings) -> None:
+def _rows(found: Found, truth: np.ndarray, settings: Settings) -> dict[str, Any]:
+    """A row for each reading of the yaw, and what each of them says of each frame."""
     warm = found.seconds[min(5, len(found.seconds) // 2) :]
     places = np.array([[float(pose.x), float(pose.y)] for pose in found.poses])
     off = np.hypot(*(places - [settings.platform_x, settings.platform_y]).T) > settings.reach + 1e-3
+    rows, frames = [], {}
     for reading, yaws in found.yaws.items():
         error, offset = errors_deg(np.array(yaws), truth)
-        report["rows"].append(
+        rows.append(
             {
                 "segmenter": found.segmenter,
                 "search": found.search,
@@ -305,41 +322,35 @@ def _add_rows(report: dict[str, Any], found: Found, truth: np.ndarray, settings:
                 "seconds_in_all": float(np.sum(found.seconds)),
             }
         )
-        key = f"{found.segmenter}, {found.search}, {reading}"
-        report["per_frame"][key] = {
+        frames[f"{found.segmenter}, {found.search}, {reading}"] = {
             "hypotheses_deg": [[math.degrees(y) % 180, math.degrees(y) % 180 + 180] for y in yaws],
-            "error_deg": error.tolist(),
-            "place_m": places.tolist(),
+            "error_deg": error,
+            "place_m": places,
         }
+    return {"rows": rows, "per_frame": frames}
 
 
-def table(report: dict[str, Any]) -> str:
-    """The report as text: one line for each segmenter, search and reading of the yaw, then the baselines."""
-    lines = [
-        f"{report['frames']} frames, error of yaw modulo 180° after one constant offset [deg]   ({report['device']})",
-        f"{'segmenter':<10}{'search':<14}{'yaw':<15}{'median':>7}{'90 %':>7}{'offset':>8}{'off place':>10}"
-        f"{'both halves':>12}{'frames/s':>10}",
+def table(report: Report) -> str:
+    """A row for each segmenter, search and reading of the yaw, then the plain method's."""
+    plain = [
+        {"segmenter": segmenter, "search": window, "yaw": "plain method", "median_deg": middle, "p90_deg": high}
+        for segmenter, windows in BASELINES.items()
+        for window, (middle, high) in windows.items()
     ]
-    for row in report["rows"]:
-        lines.append(
-            f"{row['segmenter']:<10}{row['search']:<14}{row['yaw']:<15}{row['median_deg']:>7.1f}{row['p90_deg']:>7.1f}"
-            f"{row['offset_deg']:>8.1f}{row['off_platform']:>10.0%}"
-            f"{row['two_hypotheses']:>12.0%}{row['frames_per_second']:>10.1f}"
-        )
-    for segmenter, windows in BASELINES.items():
-        for window, (middle, high) in windows.items():
-            lines.append(f"{segmenter:<10}{window:<14}{'plain method':<15}{middle:>7.1f}{high:>7.1f}   (data's README)")
-    lines.append(f"{'aim':<39}{AIM[0]:>7.1f}{AIM[1]:>7.1f}")
-    lines.append(
-        "off place: frames whose target was found farther from the platform's centre than --reach. both halves:"
+    aim = {"segmenter": "aim", "median_deg": AIM[0], "p90_deg": AIM[1]}
+    return "\n".join(
+        [
+            f"{report['frames']} frames; error of yaw modulo 180° after one constant offset",
+            "",
+            columns([*report["rows"], *plain, aim], HEADS),
+            "",
+            "off place: frames whose target was found farther from the platform's centre than --reach. both halves:",
+            "frames whose half-turned yaw is a hypothesis too (a bank at the known place is folded to half a turn, so",
+            "always). frames/s: refinement included where there is one, compilation not.",
+            *(f"failed: {line}" for line in report["failures"]),
+            *(f"picture: {path}" for path in report["sheets"]),
+        ]
     )
-    lines.append(
-        "frames whose half-turned yaw is a hypothesis too (a bank at the known place is folded to half a turn, so"
-    )
-    lines.append("always). frames/s: refinement included where there is one, compilation not.")
-    lines += [f"failed: {line}" for line in report["failures"]]
-    lines += [f"picture: {path}" for path in report.get("sheets", [])]
-    return "\n".join(lines)
 
 
 def _draw_sheet(path: Path, data: Data, settings: Settings, found: Found) -> None:
@@ -392,39 +403,6 @@ def _draw_maps(path: Path, data: Data, settings: Settings) -> Path:
     return path
 
 
-def parse(arguments: list[str] | None = None) -> Settings:
-    """Settings from the command line."""
-    formatter = argparse.RawDescriptionHelpFormatter
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=formatter)
-    for option in fields(Settings):
-        text = f"{option.metadata['help']} (default: {option.default})"
-        name = "--" + option.name.replace("_", "-")
-        if isinstance(option.default, bool):
-            parser.add_argument(name, action=argparse.BooleanOptionalAction, default=option.default, help=text)
-        else:
-            parser.add_argument(name, type=type(option.default), default=option.default, help=text)
-    settings = Settings(**vars(parser.parse_args(arguments)))
-    for given, known in ((settings.segmenters, SEGMENTERS), (settings.searches, SEARCHES)):
-        unknown = [name for name in given.split(",") if name not in known]
-        if unknown:
-            parser.error(f"expected some of {', '.join(known)}, got {unknown[0]!r}")
-    if not settings.step > 0 or abs(180 / settings.step - round(180 / settings.step)) > 1e-9:
-        parser.error(f"--step must divide 180, got {settings.step}")
-    if settings.median < 1 or settings.median % 2 == 0:
-        parser.error(f"--median must be an odd number of pixels, got {settings.median}")
-    return settings
-
-
-def main() -> None:
-    """Run, print the table, say where the files are."""
-    settings = parse()
-    try:
-        report = run(settings)
-    except sj.SonarjaxError as error:
-        raise SystemExit(f"error: {error}") from None
-    print(table(report))
-    print(f"results: {Path(settings.out) / 'results.json'}")
-
-
 if __name__ == "__main__":
-    main()
+    small = {"frames": 2, "segmenters": ("none",), "searches": ("recognize",), "sheet": 2}
+    launch(run, Settings, table, smoke=small)

@@ -1,7 +1,9 @@
-"""How well `refine_yaw` does on labels of §4.1's second version, beside the Cramér–Rao bound of the same frames.
+"""How well does `refine_yaw` do on labels of §4.1's second version, beside the Cramér–Rao bound of the same frames?
 
-python -m experiments.refine_accuracy [--smoke]: prints one row a case. Labels come from a converged render; where there
-is noise, each label is replaced with that probability by a uniform draw of the three classes. Place is known to 2 cm.
+python -m experiments.refine_accuracy [--preset smoke] [--help]
+
+Labels come from a converged render; where there is noise, each label is replaced with that probability by a uniform
+draw of the three classes. Place is known to 2 cm.
 
 The bound takes each label as one draw of the classes' shares of its pixel, mixed with the noise: a frame's information
 on (yaw, x, y) is Σ over pixels and classes of ∇p ∇pᵀ / p. Clean labels are the largest share instead of a draw, so for
@@ -19,8 +21,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from experiments.bench_render import parse
-from experiments.common.frames import GROUND_RANGE_M, sonar_for
+from experiments.common.frames import GROUND_RANGE_M, TILTS_DEG, sonar_for
+from experiments.common.launch import Report, launch
+from experiments.common.metrics import columns, summary_deg, yaw_error_deg
+from experiments.common.runs import Job
 from sonarjax.refine import refine_yaw
 from sonarjax.render import Window, place_window, render_window, window_shape
 from sonarjax.scene import Mesh, Pose
@@ -29,22 +33,32 @@ from sonarjax.sonar import Sonar
 
 GREY = np.array([0.5, 1.0, 0.0], np.float32)
 CASES = ((10.0, 0.0), (10.0, 0.08), (20.0, 0.0))  # largest start error [deg], probability that a label is replaced
+FIRST_SEED = 1  # 0 is the seed of the frames that refinement's blurs and sharpness were chosen on
+HEADS = {
+    "start_deg": "start within ± [°]",
+    "noise": "labels replaced",
+    "frames": "frames",
+    "within_1": "within 1°",
+    "median": "median [°]",
+    "p95": "95 % [°]",
+    "rms": "RMS [°]",
+    "cramer_rao": "Cramér–Rao [°]",
+    "ratio": "RMS / Cramér–Rao",
+}
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What is measured; every field is a command line option."""
+    """What is measured."""
 
     frames: int = 100
-    """Frames at each of the three tilts."""
+    """Frames at each tilt."""
+    tilts_deg: tuple[float, ...] = TILTS_DEG
+    """Tilts of the sonar [deg], of those of §4.1."""
     position_m: float = 0.02
     """Largest error of the start in x and in y [m]."""
     sub_beams: int = 6
     """Quality of the renders that the labels and the bound are made of."""
-    seed: int = 1
-    """Seed of poses, noise and starts; 0 is the one that refinement's blurs and sharpness were chosen on."""
-    smoke: bool = False
-    """A run of seconds: 4 frames at each tilt."""
 
 
 @partial(jax.jit, static_argnames=("shape", "sub_beams"))
@@ -73,9 +87,10 @@ def bounds(
     return jax.lax.map(one, (poses, corners))
 
 
-def measure(tilt_deg: float, start_deg: float, noise: float, settings: Settings) -> tuple[np.ndarray, np.ndarray]:
-    """Yaw errors (frame,) and bounds (frame,), both in degrees, at one tilt."""
-    rng = np.random.default_rng([settings.seed, int(tilt_deg)])
+def measure(settings: Settings, seed: int, case: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Yaw errors (frame,) and bounds (frame,) [deg] of one case: largest start error [deg], noise, tilt [deg]."""
+    start_deg, noise, tilt_deg = case
+    rng = np.random.default_rng([seed, int(tilt_deg)])
     count, reach = settings.frames, settings.position_m
     mesh, sonar, away = target(), sonar_for(tilt_deg), GROUND_RANGE_M[tilt_deg]
     low, high = [0.0, away - 0.02, -0.15], [2 * math.pi, away + 0.02, 0.15]
@@ -86,8 +101,7 @@ def measure(tilt_deg: float, start_deg: float, noise: float, settings: Settings)
     labels = np.where(replaced, rng.integers(0, 3, labels.shape), labels)
     off = rng.uniform(-1, 1, (count, 3)) * [math.radians(start_deg), reach, reach]
     yaw, x, y = (poses + off).astype(np.float32).T
-    found = np.asarray(refine_yaw(GREY[labels], mesh, sonar, Pose(x, y, yaw)).yaw)
-    error = np.degrees(np.abs((found - poses[:, 0] + np.pi) % (2 * np.pi) - np.pi))
+    error = yaw_error_deg(refine_yaw(GREY[labels], mesh, sonar, Pose(x, y, yaw)).yaw, poses[:, 0])
     shape = window_shape(mesh, sonar, away, 0.05)
     windows = [place_window(shape, mesh, sonar, float(p[1]), float(p[2])) for p in poses]
     corners = tuple(jnp.asarray([int(v) for v in values]) for values in zip(*(w[:2] for w in windows), strict=True))
@@ -95,41 +109,32 @@ def measure(tilt_deg: float, start_deg: float, noise: float, settings: Settings)
     return error, np.degrees(np.asarray(bound))
 
 
-def run(settings: Settings) -> list[dict[str, float]]:
+def run(settings: Settings, job: Job) -> Report:
     """One row for each case, over all tilts."""
-    if settings.smoke:
-        settings = Settings(frames=4, seed=settings.seed, smoke=True)
+    parts = {
+        f"start {start:g}, noise {noise:g}, tilt {tilt:g}": (start, noise, tilt)
+        for start, noise in CASES
+        for tilt in settings.tilts_deg
+    }
+    found = job.map(partial(measure, settings, FIRST_SEED + job.seed), parts, "refine")
     rows = []
-    for start_deg, noise in CASES:
-        parts = [measure(tilt, start_deg, noise, settings) for tilt in GROUND_RANGE_M]
-        error, bound = (np.concatenate(v) for v in zip(*parts, strict=True))
-        rms, least = math.sqrt((error**2).mean()), math.sqrt((bound**2).mean())
-        rows.append(
-            {
-                "start_deg": start_deg,
-                "noise": noise,
-                "frames": len(error),
-                "within_1_deg": float((error <= 1).mean()),
-                "median_deg": float(np.median(error)),
-                "p95_deg": float(np.percentile(error, 95)),
-                "rms_deg": rms,
-                "cramer_rao_deg": least,
-            }
-        )
-    return rows
+    for case in CASES:
+        errors, bounds = zip(*(found[name] for name, part in parts.items() if part[:2] == case), strict=True)
+        rows.append(_row(case, np.concatenate(errors), np.concatenate(bounds)))
+    return {"rows": rows}
 
 
-def table(rows: list[dict[str, float]]) -> str:
-    """The rows as text."""
-    lines = ["  start   noise  frames  within 1°   median   95 %    RMS   Cramér–Rao  ratio"]
-    for r in rows:
-        lines.append(
-            f"±{r['start_deg']:4.0f}°  {100 * r['noise']:4.0f} %  {r['frames']:6d}  {r['within_1_deg']:9.3f}"
-            f"  {r['median_deg']:6.3f}°  {r['p95_deg']:4.2f}°  {r['rms_deg']:5.3f}°  {r['cramer_rao_deg']:9.3f}°"
-            f"  {r['rms_deg'] / r['cramer_rao_deg']:5.2f}"
-        )
-    return "\n".join(lines)
+def _row(case: tuple[float, float], errors: np.ndarray, bounds: np.ndarray) -> dict[str, Any]:
+    summary, least = summary_deg(errors), math.sqrt((bounds**2).mean())
+    facts = {"start_deg": case[0], "noise": case[1], "frames": len(errors)}
+    return facts | summary | {"cramer_rao": least, "ratio": summary["rms"] / least}
+
+
+def table(report: Report) -> str:
+    """The rows as a table."""
+    shown = [row | {"start_deg": f"{row['start_deg']:g}", "noise": f"{row['noise']:.0%}"} for row in report["rows"]]
+    return columns(shown, HEADS)
 
 
 if __name__ == "__main__":
-    print(table(run(parse(Settings, __doc__))))
+    launch(run, Settings, table, smoke={"frames": 4, "tilts_deg": (20.0,), "sub_beams": 2})

@@ -20,8 +20,9 @@ from sonarjax.scene import Mesh, Pose
 from sonarjax.segment import DEFAULT_SEGMENTER, semantic_map
 from sonarjax.sonar import Sonar
 
-YAW_BINS = 36
-COARSE_EVERY = 3  # the search over distance uses every third bank and every second yaw
+YAW_BINS = 36  # the paper's 10°
+COARSE_EVERY = 3  # the search over distance uses every third bank and yaws of about 20°
+COARSE_YAWS = 18
 MIN_VALID = 0.5  # least share of a template's pixels that were measured, where part of the frame is masked
 RANGE_STEP_M = 0.1  # templates 0.3 m off in distance lose 10 points of accuracy
 DECIMATION = 4  # range bins that are one in that search
@@ -118,9 +119,14 @@ class Match(NamedTuple):
 class Recognizer:
     """A target and a sonar with the banks that were rendered for them so far: keep one to recognize many frames."""
 
-    def __init__(self, mesh: Mesh, sonar: Sonar) -> None:
-        """Banks are rendered when a frame first needs them. Raises SonarjaxError when no distance is in view."""
-        self.mesh, self.sonar = mesh, sonar
+    def __init__(self, mesh: Mesh, sonar: Sonar, yaw_bins: int = YAW_BINS) -> None:
+        """Banks of `yaw_bins` templates over the full circle are rendered when a frame first needs them.
+
+        Raises SonarjaxError when no distance is in view, or for fewer than 4 bins: peaks over yaw need neighbours.
+        """
+        if yaw_bins < 4:
+            raise SonarjaxError(f"yaw_bins: expected 4 or more, got {yaw_bins}")
+        self.mesh, self.sonar, self.yaw_bins = mesh, sonar, yaw_bins
         self._banks: dict[tuple[int, bool, bool], _Entry | None] = {}
         self._distances = _ground_ranges(sonar)
         near = float(self._distances[0])
@@ -135,7 +141,8 @@ class Recognizer:
         return self._banks[key]
 
     def _render(self, distance: float, coarse: bool, masked: bool) -> _Entry | None:
-        yaws = np.arange(0, YAW_BINS, 2 if coarse else 1) * (2 * math.pi / YAW_BINS)
+        every = max(self.yaw_bins // COARSE_YAWS, 1) if coarse else 1
+        yaws = np.arange(0, self.yaw_bins, every) * (2 * math.pi / self.yaw_bins)
         try:
             bank = template_bank(self.mesh, self.sonar, yaws, x=distance, shape=self._shape, beams=self._beams)
             if not coarse:
@@ -224,11 +231,11 @@ def _ground(slant: float, height: float) -> float:
 _RECOGNIZERS: list[Recognizer] = []  # the last few, so that calling `recognize` frame by frame renders no bank twice
 
 
-def _recognizer(mesh: Mesh, sonar: Sonar) -> Recognizer:
+def _recognizer(mesh: Mesh, sonar: Sonar, yaw_bins: int) -> Recognizer:
     for known in _RECOGNIZERS:
-        if known.mesh is mesh and known.sonar is sonar:
+        if known.mesh is mesh and known.sonar is sonar and known.yaw_bins == yaw_bins:
             return known
-    _RECOGNIZERS.append(Recognizer(mesh, sonar))
+    _RECOGNIZERS.append(Recognizer(mesh, sonar, yaw_bins))
     del _RECOGNIZERS[:-8]
     return _RECOGNIZERS[-1]
 
@@ -242,17 +249,20 @@ def recognize(
     refine: bool = True,
     threshold: float | None = None,
     mask: Any = None,
+    yaw_bins: int = YAW_BINS,
 ) -> Recognition:
     """Find the target in a frame (range, beam) and its yaw [rad] (Fig. 1): segment, match (eq. 4–5), refine.
 
     Neither distance nor bearing is given: banks at several distances find them. `mask` (range, beam) is true where a
-    pixel was measured. `threshold` replaces the segmenter's own, which comes from validation frames.
+    pixel was measured. `threshold` replaces the segmenter's own, which comes from validation frames. A bank has
+    `yaw_bins` templates over the full circle; refining reaches a bin's width from the best of them, 10° or more.
 
-    Raises SonarjaxError for an unknown segmenter, a shape that does not fit the sonar, or values that are not finite.
+    Raises SonarjaxError for an unknown segmenter, a shape that does not fit the sonar, values that are not finite, or
+    fewer than 4 yaw bins.
     """
     image, mask = _checked(image, mask, sonar)
     semantic = semantic_map(image, segmenter, mask)
-    recognizer = _recognizer(mesh, sonar)
+    recognizer = _recognizer(mesh, sonar, yaw_bins)
     match = recognizer.find(np.asarray(semantic, np.float32), mask)
     (x, y), bank, scores = recognizer.place(match), match.bank, match.scores
     yaws = np.asarray(bank.yaws) + math.atan2(y, x) - bank.bearing
@@ -264,7 +274,7 @@ def recognize(
         between = [between_bins(scores, int(k)) for k in np.where(valid, np.asarray(found.yaw_bin), scores.argmax())]
         turned = starts + np.array(between) * (2 * math.pi / len(scores))
         pose = Pose(np.full(HYPOTHESES, x), np.full(HYPOTHESES, y), turned)
-        estimate = refine_yaw(semantic, mesh, sonar, pose, mask=mask, **REFINEMENT)
+        estimate = refine_yaw(semantic, mesh, sonar, pose, mask=mask, **REFINEMENT | {"bounds": _bounds(yaw_bins)})
         if segmenter in REFINED_AGAIN:
             estimate = refine_yaw(image, mesh, sonar, estimate.pose, mask=mask, **REFINED_AGAIN[segmenter])
         hypotheses = _hypotheses(*(np.asarray(v) for v in (estimate.yaw, estimate.score, estimate.yaw_std)))
@@ -299,6 +309,12 @@ def _checked(image: Any, mask: Any, sonar: Sonar) -> tuple[np.ndarray, np.ndarra
     if not np.isfinite(image if mask is None else image[mask]).all():
         raise SonarjaxError("image: holds NaN or infinite values")
     return (image if mask is None else np.where(mask, image, 0.5).astype(np.float32)), mask
+
+
+def _bounds(yaw_bins: int) -> tuple[float, float, float]:
+    """How far refining goes from the best bin: `REFINEMENT`'s bounds, but a bin's width [rad] where that is more."""
+    yaw, x, y = REFINEMENT["bounds"]
+    return max(yaw, 2 * math.pi / yaw_bins), x, y
 
 
 def _wrap(angle: Any) -> float:

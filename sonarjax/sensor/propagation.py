@@ -34,7 +34,10 @@ def fresh_absorption(frequency: Any, temperature: Any) -> Float[Array, "*batch"]
 
 
 def absorption_loss(ranges: Float[Array, "*batch"], absorption: Any) -> Float[Array, "*batch"]:
-    """Share of the energy that two-way `absorption` [dB/m] leaves of an echo at `ranges` (...) [m]."""
+    """Share of the energy that two-way `absorption` [dB/m] leaves of an echo at `ranges` (...) [m].
+
+    Urick, Principles of Underwater Sound (1983), ch. 5.
+    """
     return 10 ** (-0.2 * jnp.asarray(absorption, jnp.float32) * ranges)
 
 
@@ -43,7 +46,8 @@ def time_varied_gain(
 ) -> Float[Array, "*batch"]:
     """Gain of an echo's energy at `ranges` (...) [m]: (r/reference)^exponent and the two-way `absorption` [dB/m].
 
-    1 at the range `reference` [m]. An exponent of 4 is '40 log r' for points, 3 is '30 log r' for surfaces.
+    1 at the range `reference` [m]. An exponent of 4 is '40 log r' for points, 3 is '30 log r' for
+    surfaces, whose echoing area grows with range (Urick, 1983, ch. 8).
     """
     spread = (ranges / reference) ** jnp.asarray(exponent, jnp.float32)
     return spread / absorption_loss(ranges - reference, absorption)
@@ -52,7 +56,8 @@ def time_varied_gain(
 def elevation_gain(offset: Float[Array, "*batch"], aperture: Any, skirt: Any) -> Float[Array, "*batch"]:
     """Two-way gain (...) at an elevation `offset` [rad] off the beam axis: flat, −3 dB at half the `aperture` [rad].
 
-    Beyond it the gain falls by `skirt` [dB per degree]; 10 to 14 fits an ARIS 3000. Not sinc².
+    Beyond it the gain falls by `skirt` [dB per degree]; 10 to 14 fits an ARIS 3000, whose lens gives a flat top and
+    steep skirts instead of a line array's sinc². A logistic curve in dB, of our own choice.
     """
     beyond = jnp.degrees(jnp.abs(offset) - jnp.asarray(aperture, jnp.float32) / 2)
     return 1 / (1 + 10 ** jnp.clip(jnp.asarray(skirt, jnp.float32) * beyond / 10, -20.0, 20.0))
@@ -111,7 +116,8 @@ def reference_energy(sonar: Sonar) -> Float[Array, ""]:
 def pulse_blur(image: Float[Array, "range beam"], pulse_bins: Any) -> Float[Array, "range beam"]:
     """Energy (range, beam) spread evenly over a pulse of `pulse_bins` range bins, 1 to 9; a bin's own is no blur.
 
-    The weights sum to one; what would come from beyond the window is taken from its outermost bins.
+    A pulse of duration τ echoes from cτ/2 of range at once (Urick, 1983, ch. 8); its envelope is taken as a box. The
+    weights sum to one; what would come from beyond the window is taken from its outermost bins.
     """
     half = MAX_PULSE_BINS // 2
     length = jnp.clip(jnp.asarray(pulse_bins, jnp.float32), 1.0, float(MAX_PULSE_BINS))
@@ -127,6 +133,6 @@ def pulse_blur(image: Float[Array, "range beam"], pulse_bins: Any) -> Float[Arra
 def noise_floor(ranges: Float[Array, "*batch"], level: Any, range_max: Any) -> Float[Array, "*batch"]:
     """Mean energy (...) of the receiver's noise after its gain: level·(r/range_max)² at `ranges` (...) [m].
 
-    `level` is an energy, that at `range_max` [m].
+    `level` is an energy, that at `range_max` [m]. What a gain of 20 log r makes of noise that does not depend on range.
     """
     return level * jnp.square(ranges / range_max)

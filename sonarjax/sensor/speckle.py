@@ -33,7 +33,8 @@ def azimuth_kernel(sonar: Sonar, reach: Any) -> Float[Array, "beam source"]:
     """Matrix (beam, source) that correlates a white field over azimuth; its rows have unit energy.
 
     Gaussian in the azimuth difference, of width `reach` in mean beam spacings. The intensity's autocorrelation at a
-    lag of n spacings is exp(−n²/(2 reach²)), to 2 % for a reach above 0.8: 0.60 at one beam for 0.99.
+    lag of n spacings is exp(−n²/(2 reach²)), to 2 % for a reach above 0.8: 0.60 at one beam for 0.99. It is the square
+    of the field's (Siegert's relation for circular Gaussian fields).
     """
     azimuth = jnp.asarray(sonar.azimuth, jnp.float32)
     spacing = (azimuth[-1] - azimuth[0]) / max(sonar.n_beams - 1, 1) if sonar.n_beams > 1 else jnp.float32(1.0)
@@ -69,7 +70,7 @@ def speckle_intensity(field: Float[Array, "part range beam"], diffuse: Any = 1.0
     """Intensity (range, beam), mean 1, of a field (part, range, beam) beside a steady echo: Rice's distribution.
 
     `diffuse` is the share of the energy that scatters at random: 1 gives exponential intensity (Rayleigh amplitude),
-    0 gives exactly 1. The variance is 1 − (1 − diffuse)².
+    0 gives exactly 1. The variance is 1 − (1 − diffuse)² (Rice, Bell Syst. Tech. J. 24, 1945).
     """
     diffuse = jnp.clip(jnp.asarray(diffuse, jnp.float32), 0.0, 1.0)
     steady, scattered = _safe_sqrt(1 - diffuse), _safe_sqrt(diffuse)
@@ -80,7 +81,7 @@ def heavy_tails(intensity: Float[Array, "range beam"], power: Any) -> Float[Arra
     """`intensity` (range, beam)^`power` over its mean: of exponential intensity Weibull's law with the shape 1/power.
 
     The standard deviation in dB is `power` times Rayleigh's 5.57 dB; 2/power is the shape of the amplitude's law, 1.7
-    as measured on the bottom of real Oculus frames.
+    as measured on the bottom of real Oculus frames. Weibull clutter: Sekine and Mao, Weibull Radar Clutter (1990).
     """
     power = jnp.asarray(power, jnp.float32)
     return jnp.maximum(intensity, 1e-9) ** power * jnp.exp(-jax.scipy.special.gammaln(1 + power))
@@ -95,7 +96,7 @@ def multi_look(intensity: Float[Array, "range beam"], looks: Any) -> Float[Array
 
     The other looks are the same `intensity` (range, beam) shifted by large parts of the image, which costs no random
     numbers; pixels that are that far apart share a look. Between whole numbers the last look counts less, so that the
-    variance is 1/looks of one look's.
+    variance is 1/looks of one look's (Oliver and Quegan, Understanding Synthetic Aperture Radar Images, 1998, ch. 4).
     """
     rows, beams = intensity.shape
     weights = look_weights(looks)

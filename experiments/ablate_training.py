@@ -1,0 +1,157 @@
+"""What of pix2pix's training matters: eq. 3's normaliser and λ, the discriminator, skips, the output, how many pairs?
+
+python -m experiments.ablate_training [--preset smoke] [--help]
+
+These are short trainings of thin networks: width 8 instead of the paper's 64, minutes instead of hours. They say what
+helps early and how much, not where long trainings end. All variants differ from the first in one thing only, see the
+same number of images, and are judged on the same validation pairs. An interrupted training goes on from its checkpoint.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from experiments.common.launch import Report, launch
+from experiments.common.metrics import columns
+from experiments.common.runs import Job, code_digest
+from experiments.train_discriminative import train_to_the_end
+from sonarjax.data import export_pairs, make_pairs, split_key
+from sonarjax.data.folder import MANIFEST
+from sonarjax.segment.classical import to_grey
+from sonarjax.segment.step import GanConfig
+from sonarjax.segment.training import Recipe
+from sonarjax.segment.training.batches import Stored, validation_set
+from sonarjax.segment.training.evaluate import predict_all
+from sonarjax.segment.weights import load_generator
+
+VARIANTS: dict[str, dict[str, Any]] = {
+    "eq. 3": {},
+    "N per image": {"normaliser": "per_image"},
+    "λ 10": {"distance": 10.0},
+    "λ 0": {"distance": 0.0},
+    "no discriminator": {"adversarial": 0.0},
+    "no skips": {"skips": False},
+    "classes": {"head": "classes"},
+    "shipped loss": {"head": "classes", "adversarial": 0.1, "cross_entropy": 20.0},
+}
+"""What each variant changes in the networks or in eq. 3, which has N affine, λ = 100 and grey output by tanh.
+`classes` puts out three classes' logits; `shipped loss` has cross-entropy beside eq. 3 then, as the shipped network."""
+SIZES = {"a quarter of the pairs": 0.25, "four times the pairs": 4.0}
+"""What others change: how many different pairs there are, seen more or less often."""
+HEADS = {
+    "variant": "variant",
+    "iou_mean": "IoU",
+    "iou_highlight": "of highlight",
+    "iou_shadow": "of shadow",
+    "psnr_db": "PSNR [dB]",
+    "psnr_gain_db": "gain [dB]",
+    "distance": "eq. 3's distance",
+    "pairs": "pairs",
+    "passes": "times seen",
+}
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What is trained."""
+
+    variants: tuple[str, ...] = (*VARIANTS, *SIZES)
+    """Which variants, by the names of the table."""
+    width: int = 8
+    """Channels of the first layer of both networks."""
+    images: int = 8192
+    """Images that each training sees."""
+    pairs: int = 2048
+    """Different pairs among them, where the variant says nothing else."""
+    validation_pairs: int = 128
+    """Pairs that judge all variants."""
+    batch: int = 8
+    """Pairs in a step."""
+
+    def __post_init__(self) -> None:
+        """Raises ValueError for a variant that is not known."""
+        unknown = [name for name in self.variants if name not in VARIANTS | SIZES]
+        if unknown:
+            raise ValueError(f"--variants: expected some of {', '.join(VARIANTS | SIZES)}, got {unknown[0]!r}")
+
+
+def run(settings: Settings, job: Job) -> Report:
+    """One row for each variant, with its training curve."""
+    folder = job.folder / code_digest()  # a training that other code began must not go on
+    shared = folder / "pairs"
+    _share_pairs(shared, settings, job.seed)
+    validation = validation_set(recipe_of("eq. 3", settings, job.seed, shared))
+
+    def measure(variant: str) -> dict[str, Any]:
+        recipe = recipe_of(variant, settings, job.seed, shared)
+        return _measure(recipe, folder / variant.replace(" ", "_"), validation)
+
+    found = job.map(measure, settings.variants, "trainings")
+    return {"rows": [{"variant": name} | values for name, values in found.items()]}
+
+
+def _share_pairs(folder: Path, settings: Settings, seed: int) -> None:
+    """Keep the usual pairs in `folder`, and those that judge behind them: made once, they serve all variants."""
+    if (folder / MANIFEST).exists():
+        return
+    counts = {"train": settings.pairs, "validation": settings.validation_pairs}
+    made = [make_pairs(count, key=split_key(seed, split)) for split, count in counts.items()]
+    export_pairs(jax.tree.map(lambda *parts: jnp.concatenate(parts), *made), folder)
+
+
+def recipe_of(variant: str, settings: Settings, seed: int, shared: Path) -> Recipe:
+    """The short training of a variant, on the pairs in `shared`, or the first of them.
+
+    Where there are more, the same and others are made again, the usual number in each set.
+    """
+    pairs = round(settings.pairs * SIZES.get(variant, 1.0))
+    each = min(pairs, settings.pairs)
+    networks = GanConfig(width=settings.width, discriminator_width=settings.width)
+    return Recipe(
+        name=variant,
+        networks=replace(networks, **VARIANTS.get(variant, {})),
+        run_seed=seed,
+        batch=settings.batch,
+        pairs=each,
+        passes=max(settings.images // pairs, 1),
+        sets=pairs // each,
+        source=str(shared) if pairs == each else None,
+        validation_pairs=settings.validation_pairs,
+    )
+
+
+def _measure(recipe: Recipe, folder: Path, validation: Stored) -> dict[str, Any]:
+    """Validation metrics at the end, eq. 3's distance on the same pairs (N affine), and the curve of each metric."""
+    result = train_to_the_end(recipe, folder)
+    assert result.weights is not None
+    grey = predict_all(recipe.networks, load_generator(result.weights).variables, validation)
+    # Grey runs from 0 to 1 where eq. 3 has −1 to 1, which the affine N halves again: one difference.
+    distance = float(np.abs(grey - to_grey(validation.labels)).mean())
+    counts = {"pairs": float(recipe.pairs * recipe.sets), "passes": float(recipe.passes)}
+    return result.metrics | {"distance": distance} | counts | {"curve": _curve(folder, recipe.batch)}
+
+
+def _curve(folder: Path, batch: int) -> dict[str, list[float]]:
+    """Images seen, and the losses and validation metrics after each epoch, by name: lists (epoch,)."""
+    lines = (folder / "metrics.jsonl").read_text(encoding="utf-8").splitlines()
+    epochs = [json.loads(line) for line in lines]
+    named = {name: [float(epoch[name]) for epoch in epochs] for name in epochs[0] if name not in ("epoch", "step")}
+    return {"images": [float(epoch["step"] * batch) for epoch in epochs]} | named
+
+
+def table(report: Report) -> str:
+    """The rows as a table."""
+    whole = [row | {key: f"{row[key]:.0f}" for key in ("pairs", "passes")} for row in report["rows"]]
+    return columns(whole, HEADS)
+
+
+if __name__ == "__main__":
+    small = {"variants": ("eq. 3",), "width": 4, "images": 16, "pairs": 8, "validation_pairs": 8, "batch": 4}
+    launch(run, Settings, table, smoke=small)

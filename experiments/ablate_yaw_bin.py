@@ -1,0 +1,131 @@
+"""How wide may the bins of yaw be?
+
+python -m experiments.ablate_yaw_bin [--preset smoke] [--help]
+
+Target frames of §4.1 with yaws spread evenly over the circle, so that no bin's middle is favoured. A bank that always
+picks the nearest of its bins would still err uniformly within half a bin: its statistics stand beside what was reached.
+Refinement may go 10° from the best bin, or a bin's width where bins are wider.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+import sonarjax as sj
+from experiments.common.frames import TestFrame, paper_frames, sonar_for
+from experiments.common.judge import target
+from experiments.common.launch import Report, launch
+from experiments.common.metrics import HALF_BIN_DEG, columns, summary_deg, yaw_error_deg
+from experiments.common.runs import Job
+from experiments.common.segmenters import map_of
+from sonarjax.segment import SEGMENTERS
+
+ASTRAY_DEG = 20.0  # farther off than any bin's half: another aspect of the object was taken for this one
+HEADS = {
+    "segmenter": "segmenter",
+    "bin_deg": "bin [°]",
+    "bin_right": "nearest bin found",
+    "bin_astray": "over 20° off",
+    "bin_median": "bin error, median [°]",
+    "bin_mean": "mean",
+    "bin_rms": "RMS",
+    "bin_p95": "95 %",
+    "floor_mean": "floor: median, mean",
+    "floor_rms": "RMS",
+    "floor_p95": "95 %",
+    "yaw_astray": "refined, over 20° off",
+    "yaw_median": "refined error, median [°]",
+    "yaw_mean": "mean",
+    "yaw_rms": "RMS",
+    "yaw_p95": "95 %",
+    "bin_ms": "time a frame [ms]",
+    "yaw_ms": "with refinement",
+}
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What is compared."""
+
+    bins_deg: tuple[int, ...] = (2, 5, 10, 15, 30)
+    """Widths of a yaw bin [deg], divisors of 360; the paper's is 10."""
+    segmenters: tuple[str, ...] = ("truth", "pix2pix", "none")
+    """Segmenters to compare; truth is the true map, of the renderer that also refines: it says what the bins do alone."""
+    step_deg: int = 20
+    """Yaw step of each set [deg]; each frame's yaw is drawn anywhere in its step."""
+
+    def __post_init__(self) -> None:
+        """Raises ValueError for bins that do not close the circle."""
+        if any(width < 1 or 360 % width for width in self.bins_deg):
+            raise ValueError(f"--bins-deg: expected divisors of 360, got {self.bins_deg}")
+
+
+class Yaw(NamedTuple):
+    """A yaw that was found, and how long that took."""
+
+    yaw: float
+    """Yaw [rad]."""
+    milliseconds: float
+    """Time of `recognize` [ms]."""
+
+
+def run(settings: Settings, job: Job) -> Report:
+    """One row for each segmenter and bin width."""
+    every = paper_frames(job.seed, step_deg=settings.step_deg, yaw_offset_deg=settings.step_deg / 2)
+    frames = [frame for frame in every if frame.is_target]
+    cases = {f"{name}, {width}°": (name, width) for name in settings.segmenters for width in settings.bins_deg}
+    measured = job.map(partial(_measure, frames), cases, "yaw bins")
+    labels = ({"segmenter": name, "bin_deg": width} for name, width in cases.values())
+    return {"rows": [label | values for label, values in zip(labels, measured.values(), strict=True)]}
+
+
+def _measure(frames: Sequence[TestFrame], case: tuple[str, int]) -> dict[str, float]:
+    segmenter, width = case
+    true = [frame.yaw for frame in frames]
+    values = {f"floor_{name}": value for name, value in floor_deg(width).items()}
+    for stage, refine in (("bin", False), ("yaw", True)):
+        found = [_find(frame, segmenter, width, refine) for frame in frames]
+        error = yaw_error_deg([one.yaw for one in found], true)
+        values |= {f"{stage}_{name}": value for name, value in summary_deg(error).items()}
+        values[f"{stage}_right"] = float((error <= HALF_BIN_DEG * width / 10).mean())
+        values[f"{stage}_astray"] = float((error > ASTRAY_DEG).mean())
+        # The median, since the first frames of a sonar render its banks, which are kept.
+        values[f"{stage}_ms"] = float(np.median([one.milliseconds for one in found]))
+    return values
+
+
+def _find(frame: TestFrame, segmenter: str, width: int, refine: bool) -> Yaw:
+    # `recognize` knows its own segmenters only; the true map is matched as a frame that needs none.
+    own = segmenter in SEGMENTERS
+    image, name = (frame.image, segmenter) if own else (map_of(segmenter, frame), "none")
+    started = time.perf_counter()
+    found = sj.recognize(
+        image, target(), sonar_for(frame.tilt_deg), segmenter=name, refine=refine, yaw_bins=360 // width
+    )
+    return Yaw(found.yaw, 1e3 * (time.perf_counter() - started))
+
+
+def floor_deg(width_deg: float) -> dict[str, float]:
+    """Statistics [deg] of the error's size when the nearest bin of `width_deg` is always found: uniform in ± half."""
+    return {
+        "median": width_deg / 4,
+        "mean": width_deg / 4,
+        "rms": width_deg / math.sqrt(12),
+        "p95": 0.95 * width_deg / 2,
+    }
+
+
+def table(report: Report) -> str:
+    """The rows as a table."""
+    return columns(report["rows"], HEADS)
+
+
+if __name__ == "__main__":
+    launch(run, Settings, table, smoke={"bins_deg": (30,), "segmenters": ("none",), "step_deg": 180})

@@ -1,0 +1,180 @@
+"""Streams of frames and what follows an object through them: folders that fill, recordings, simulated turns."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from datetime import datetime
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from matplotlib.figure import Figure
+
+import sonarjax as sj
+from sonarjax.io import Frame, SonarjaxError, iter_frames
+from sonarjax.io.load import PARSERS
+from sonarjax.plot import MARK_COLOR
+from sonarjax.recognize import REFINED_AGAIN, REFINEMENT, THRESHOLDS, Hypothesis, Recognition
+from sonarjax.segment import semantic_map
+from sonarjax.sensor import SensorModel, observe_scene
+
+WAYS = ("recognize", "track map", "track frame")
+"""How a stream is gone through: each frame anew, or refined from the last pose on the map or on the frame itself."""
+POLL_S = 0.5
+Named = tuple[str, Frame | SonarjaxError]
+"""What a frame is called, and the frame, or the error that says why it cannot be read."""
+
+
+def frames_of(source: str, follow: float = 0.0) -> Iterator[Named]:
+    """Each frame of a folder or a file in order; a folder's new files too, until none has come for `follow` [s]."""
+    for path in folder_files(Path(source), follow) if os.path.isdir(source) else [source]:
+        try:
+            for frame in iter_frames(path):
+                yield frame.source, frame
+        except SonarjaxError as error:
+            yield str(path), error
+
+
+def folder_files(folder: Path, follow: float) -> Iterator[Path]:
+    """A folder's files of frames in natural order (2 before 10), then those that come until none has for `follow` [s].
+
+    While a folder is followed, a file is taken once it no longer changes: it may still be being written.
+    """
+    done, before, last = set[Path](), dict[Path, Any](), time.monotonic()
+    while True:
+        now = {path: state for path in folder.iterdir() if path.suffix.lower() in PARSERS and (state := _state(path))}
+        ready = [path for path in now if path not in done and (not follow or before.get(path) == now[path])]
+        for path in sorted(ready, key=natural):
+            done.add(path)
+            yield path
+        before, last = now, time.monotonic() if ready else last
+        if not ready:
+            if time.monotonic() - last >= follow:
+                return
+            time.sleep(min(POLL_S, follow))
+
+
+def _state(path: Path) -> tuple[int, int] | None:
+    with suppress(OSError):  # it may have gone again
+        state = path.stat()
+        return state.st_size, state.st_mtime_ns
+    return None
+
+
+def natural(path: Path) -> list[tuple[int, str]]:
+    """A key that sorts file names with numbers in them as people do."""
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"([0-9]+)", path.name)]
+
+
+def turning(
+    mesh: sj.Mesh, sonar: sj.Sonar, model: SensorModel, poses: list[sj.Pose], key: jax.Array
+) -> Iterator[Named]:
+    """Simulated frames of an object at `poses` [m, rad]; `meta` holds the true yaw [deg]."""
+
+    @jax.jit
+    def observe(pose: sj.Pose, key: jax.Array) -> jax.Array:
+        return observe_scene(mesh, pose, sonar, model, key=key)[0]
+
+    for k, pose in enumerate(poses):
+        image = np.asarray(observe(jax.tree.map(jnp.float32, pose), jax.random.fold_in(key, k)))
+        name = f"simulated:{k}"
+        yield name, Frame(image, None, name, name, meta={"true_yaw_deg": math.degrees(pose.yaw)})
+
+
+def seconds_of(meta: dict[str, Any]) -> float | None:
+    """When a frame was taken [s], where its file says so."""
+    if "time_us" in meta:
+        return float(meta["time_us"]) * 1e-6
+    with suppress(ValueError, KeyError):
+        return datetime.fromisoformat(meta["time"]).timestamp()
+    return None
+
+
+class Finder:
+    """Recognizes frame after frame, and where its way is to track, refines from the last pose instead."""
+
+    def __init__(self, mesh: sj.Mesh, sonar: sj.Sonar, segmenter: str, way: str) -> None:
+        """`way` is one of WAYS. Raises SonarjaxError for another."""
+        if way not in WAYS:
+            raise SonarjaxError(f"way: expected one of {', '.join(WAYS)}, got {way!r}")
+        self.mesh, self.sonar, self.segmenter, self.way = mesh, sonar, segmenter, way
+        self.last: sj.Pose | None = None
+
+    def __call__(self, frame: Frame) -> tuple[Recognition, bool]:
+        """What a frame shows, and whether it was tracked from the last one.
+
+        Raises SonarjaxError when it does not fit the sonar; what was tracked is kept.
+        """
+        tracked = None if self.last is None or self.way == WAYS[0] else self._tracked(frame, self.last)
+        found = tracked
+        if found is None:
+            found = sj.recognize(frame.image, self.mesh, self.sonar, segmenter=self.segmenter, mask=frame.mask)
+        self.last = sj.Pose(found.x, found.y, found.yaw) if found.identified else None
+        return found, tracked is not None
+
+    def _tracked(self, frame: Frame, last: sj.Pose) -> Recognition | None:
+        """The pose refined from the last one; None when its template correlates less than the threshold."""
+        on = "none" if self.way == "track frame" else self.segmenter
+        semantic = semantic_map(frame.image, on, frame.mask)
+        refine = partial(sj.refine_yaw, mesh=self.mesh, sonar=self.sonar, mask=frame.mask)
+        estimate = refine(semantic, start=last, **REFINEMENT)
+        score = float(estimate.score)
+        if not score >= THRESHOLDS[on]:  # nor when it is NaN
+            return None
+        if on in REFINED_AGAIN:
+            estimate = refine(frame.image, start=estimate.pose, **REFINED_AGAIN[on])
+        yaw, std, x, y, refined = (
+            float(v) for v in (estimate.yaw, estimate.yaw_std, estimate.x, estimate.y, estimate.score)
+        )
+        return Recognition(
+            identified=True, score=score, score_bank=math.nan, score_refined=refined, threshold=THRESHOLDS[on],
+            yaw_bin=math.nan, yaw=yaw, yaw_std=std, x=x, y=y, scores_by_yaw=np.empty(0),
+            hypotheses=(Hypothesis(yaw, refined, std),), segmenter=on, semantic=np.asarray(semantic),
+        )  # fmt: skip
+
+
+def taken_up(path: Path) -> list[dict[str, Any]]:
+    """The records that a cut-off run left, but for a line that it did not end."""
+    records = []
+    for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else []:
+        try:
+            records.append(json.loads(line))
+        except ValueError:
+            continue
+    return records
+
+
+def picture(arrays: dict[str, np.ndarray]) -> Figure:
+    """Yaw [deg] with its standard deviation and the score, over time [s] or frame number; unidentified ones hollow."""
+    timed = bool(np.isfinite(arrays["time_s"]).all())
+    at = arrays["time_s"] - arrays["time_s"][0] if timed else arrays["number"]
+    figure = Figure(figsize=(8.0, 5.0), layout="constrained")
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+    if np.isfinite(arrays["true_yaw_deg"]).any():
+        above.plot(at, broken(arrays["true_yaw_deg"]), color="0.6", label="truth")
+        above.legend(frameon=False)
+    std = np.nan_to_num(arrays["yaw_std_deg"])
+    above.errorbar(at, arrays["yaw_deg"], std, fmt="none", ecolor="0.6", elinewidth=1)
+    filled = arrays["identified"] > 0
+    for panel, values in ((above, arrays["yaw_deg"]), (below, arrays["score"])):
+        panel.plot(at[filled], values[filled], "o", color="#0072B2", markersize=4)
+        panel.plot(at[~filled], values[~filled], "o", color="#0072B2", markersize=4, markerfacecolor="none")
+    below.plot(at, arrays["threshold"], "--", color=MARK_COLOR, linewidth=1, label="threshold")
+    below.legend(frameon=False)
+    above.set(ylabel="yaw [°]", ylim=(0, 360), yticks=range(0, 361, 90))
+    below.set(ylabel="correlation", xlabel="time [s]" if timed else "frame number")
+    return figure
+
+
+def broken(degrees: np.ndarray) -> np.ndarray:
+    """Angles [deg] of a line, with NaN where it would cross the picture because a turn begins anew."""
+    return np.where(np.abs(np.diff(degrees, prepend=degrees[0])) > 180.0, np.nan, degrees)

@@ -1,0 +1,123 @@
+"""From how far off does refinement find the yaw?
+
+python -m experiments.yaw_basin [--preset smoke] [--help]
+
+`refine_yaw` with its defaults on labels of a converged render, and on what the network makes of noisy frames (whose
+classes mix, so sharpness 0), from starts that are off by a given angle. Each again without the widest blur, to see what
+that is for. `yaw_landscape` shows the loss behind it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Literal
+
+import jax.numpy as jnp
+import numpy as np
+
+import sonarjax as sj
+from experiments.common.frames import GROUND_RANGE_M, TestFrame, paper_frames, sonar_for
+from experiments.common.judge import target
+from experiments.common.launch import Report, launch
+from experiments.common.metrics import columns, yaw_error_deg
+from experiments.common.runs import Job
+from sonarjax.refine.yaw import BLURS_PX, BOUNDS, SHARPNESS
+from sonarjax.segment import semantic_map
+
+SHARPNESS_OF = {"labels": SHARPNESS, "pix2pix": 0.0}
+GREY = np.array([0.5, 1.0, 0.0], np.float32)
+CONVERGED = 8  # sub-beams of the renders that labels are made of
+START_STEP_DEG = 5.0
+HEADS = {
+    "map": "map",
+    "blurs": "blurs [bins]",
+    "start_deg": "start off by [°]",
+    "within_1": "ends within 1°",
+    "within_2": "within 2°",
+    "median": "median error [°]",
+}
+MapName = Literal["labels", "pix2pix"]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What is measured."""
+
+    maps: tuple[MapName, ...] = ("labels", "pix2pix")
+    """What is refined on."""
+    step_deg: int = 60
+    """Yaw step of each of the four sets of frames [deg]: 60 gives 24 frames."""
+    reach_deg: float = 40.0
+    """Largest start error [deg], sampled every 5°."""
+    position_m: float = 0.02
+    """Largest error of a start in x and in y [m]."""
+    fine: bool = True
+    """Also without the widest blur."""
+
+
+def run(settings: Settings, job: Job) -> Report:
+    """A row for each map, ladder of blurs and start error; `basin.npz` holds the error of every end."""
+    frames = target_frames(job.seed, settings.step_deg)
+    off = np.arange(-settings.reach_deg, settings.reach_deg + 1e-6, START_STEP_DEG)
+    rows: list[dict[str, Any]] = []
+    ends: dict[str, np.ndarray] = {}
+    for name in settings.maps:
+        images = [map_of(name, frame) for frame in frames]
+        for blurs in (BLURS_PX, BLURS_PX[1:]) if settings.fine else (BLURS_PX,):
+            said = ", ".join(f"{blur:g}" for blur in blurs)
+            one = partial(_ends, off, {"blurs": blurs, "sharpness": SHARPNESS_OF[name]}, settings, job.seed)
+            cases = {str(k): (frames[k], images[k], k) for k in range(len(frames))}
+            errors = np.array(list(job.map(one, cases, f"{name}, blurs {said}").values()), float)
+            ends[f"{name}_{len(blurs)}_blurs_error_deg"] = errors
+            rows += [
+                {"map": name, "blurs": said, "start_deg": float(start), **shares(errors[:, k])}
+                for k, start in enumerate(off)
+            ]
+    job.arrays("basin", start_deg=off, **ends)
+    return {"frames": len(frames), "rows": rows}
+
+
+def target_frames(seed: int, step_deg: int) -> list[TestFrame]:
+    """Frames of the target at four tilts, yaw in steps of `step_deg` and up to 5° off them [deg]."""
+    return [frame for frame in paper_frames(seed, yaw_offset_deg=5.0, step_deg=step_deg) if frame.is_target]
+
+
+def map_of(name: MapName, frame: TestFrame) -> np.ndarray:
+    """The image (range, beam) that is refined on: labels of a converged render, or the network's map."""
+    if name == "pix2pix":
+        return semantic_map(frame.image, "pix2pix")
+    rendered = sj.render(target(), moved(frame), sonar_for(frame.tilt_deg), sub_beams=CONVERGED)
+    return GREY[np.asarray(rendered.labels())]
+
+
+def moved(frame: TestFrame, yaw_deg: Any = 0.0, x: Any = 0.0, y: Any = 0.0) -> sj.Pose:
+    """The true pose of a frame's object, moved by angles [deg] and lengths [m]."""
+    away = GROUND_RANGE_M[frame.tilt_deg]
+    return sj.Pose(*(jnp.asarray(v, jnp.float32) for v in (away + x, 0.0 + y, frame.yaw + np.radians(yaw_deg))))
+
+
+def _ends(off: np.ndarray, how: dict[str, Any], settings: Settings, seed: int, case: Any) -> np.ndarray:
+    """Errors (start,) [deg] at which refinement ends, of starts whose yaw is `off` [deg], and x and y a little."""
+    frame, image, number = case
+    aside = np.random.default_rng([seed, number]).uniform(-1, 1, (2, len(off))) * settings.position_m
+    # The default bounds would cut off what starts 40° away.
+    bounds = (max(BOUNDS[0], math.radians(settings.reach_deg + 20.0)), *BOUNDS[1:])
+    found = sj.refine_yaw(image, target(), sonar_for(frame.tilt_deg), moved(frame, off, *aside), bounds=bounds, **how)
+    return yaw_error_deg(found.yaw, frame.yaw)
+
+
+def shares(errors: np.ndarray) -> dict[str, float]:
+    """Shares of errors (frame,) [deg] within 1° and 2°, and their median."""
+    within = {f"within_{limit}": float((errors <= limit).mean()) for limit in (1, 2)}
+    return within | {"median": float(np.median(errors))}
+
+
+def table(report: Report) -> str:
+    """The rows as a table."""
+    return columns(report["rows"], HEADS)
+
+
+if __name__ == "__main__":
+    launch(run, Settings, table, smoke={"maps": ("labels",), "step_deg": 180, "reach_deg": 5.0, "fine": False})

@@ -1,0 +1,191 @@
+"""What does the loss look like that refinement descends, and is its derivative right?
+
+python -m experiments.yaw_landscape [--preset smoke] [--help]
+
+1 − NCC of the blurred images, as `refine_yaw` computes it, on labels and on the network's map. Over yaw and x around
+the truth of one frame, for each blur, with the way that refinement takes; and along lines of yaw the derivative that it
+follows, beside central differences of the same loss of a converged render.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import sonarjax as sj
+from experiments.common.frames import GROUND_RANGE_M, TestFrame, sonar_for
+from experiments.common.judge import target
+from experiments.common.launch import Report, launch
+from experiments.common.metrics import columns
+from experiments.common.runs import Job
+from experiments.yaw_basin import CONVERGED, SHARPNESS_OF, MapName, map_of, moved, target_frames
+from sonarjax.refine.objective import ROW_STRIDE, Blur, Problem, draw_with_slope, make_blur, normalised
+from sonarjax.refine.yaw import BLURS_PX, BOUNDS, ITERATIONS, SLACK_M, SUB_BEAMS, _window_size
+from sonarjax.render import Window, place_window
+
+LINE_STEP_DEG = 0.25  # so that central differences span half a degree, about the longest step of gradient_check
+SHOWN_TILT_DEG = 20.0
+STARTS = np.array([(yaw, x) for yaw in (-30.0, -12.0, 12.0, 30.0) for x in (-0.08, 0.08)])  # off the truth [deg, m]
+CLEAR = 0.2  # of the RMS: smaller derivatives have no sign to speak of
+HEADS = {
+    "derivatives": {
+        "map": "map", "blur": "blur [bins]", "error": "RMS error / RMS derivative", "sign": "sign right",
+        "own_error": "error to differences of its own render",
+    },
+    "paths": {
+        "map": "map", "start_deg": "start: yaw off by [°]", "start_m": "x off by [m]", "end_deg": "end: yaw off by [°]",
+        "end_m": "x off by [m]",
+    },
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What is measured."""
+
+    maps: tuple[MapName, ...] = ("labels", "pix2pix")
+    """What is refined on."""
+    frames: int = 8
+    """Frames whose derivative is checked; the landscape is of the first one at 20° of tilt."""
+    line_deg: float = 10.0
+    """Reach of the lines of yaw on either side of the truth [deg]."""
+    reach_deg: float = 40.0
+    """Reach of the landscape in yaw [deg]."""
+    reach_m: float = 0.12
+    """Reach of the landscape in x [m]."""
+    grid: int = 41
+    """Points of the landscape in yaw and in x."""
+
+
+def run(settings: Settings, job: Job) -> Report:
+    """Rows of the derivatives and of the paths' ends; `derivatives.npz` and a `landscape_*.npz` a map."""
+    frames = target_frames(job.seed, 180)
+    shown = next(frame for frame in frames if frame.tilt_deg == SHOWN_TILT_DEG)
+    lines = job.map(lambda name: _line(name, frames[: settings.frames], settings), settings.maps, "derivatives")
+    rows, arrays = [], {}
+    for name, parts in lines.items():
+        values = {key: np.array(v, float) for key, v in parts.items()}
+        arrays |= {f"{name}_{key}": v for key, v in values.items()}
+        rows += [{"map": name} | row for row in judged(*(values[key] for key in ("derivative", "differences", "own")))]
+    job.arrays("derivatives", yaw_deg=line_deg(settings)[1:-1], blur=BLURS_PX, **arrays)
+    paths = []
+    for name, parts in job.map(lambda name: _landscape(name, shown, settings), settings.maps, "landscape").items():
+        values = {key: np.array(v, float) for key, v in parts.items()}
+        job.arrays(f"landscape_{name}", blur=BLURS_PX, image=map_of(name, shown), **values)
+        for start, end in zip(parts["path"][0], parts["end"], strict=True):
+            ends = zip(("start_deg", "start_m", "end_deg", "end_m"), (*start, *end), strict=True)
+            paths.append({"map": name, **dict(ends)})
+    return {"derivatives": rows, "paths": paths}
+
+
+# ---------------------------------------------------------------- the loss and its derivative
+
+
+def loss(problem: Problem, blur: Blur, drawn: jax.Array) -> jax.Array:
+    """What the solver minimises for a template (range, beam): 1 − NCC of the blurred images."""
+    weight = problem.weight[::ROW_STRIDE]
+    seen, fitted = (normalised(blur(v * problem.weight), weight) for v in (problem.image, drawn - 0.5))
+    return 1 - (seen * fitted).sum()
+
+
+def losses_at(image: Any, frame: TestFrame, sharpness: float, steps: np.ndarray, sub_beams: int) -> list[np.ndarray]:
+    """Loss (step, blur) `steps` (step, 3) = yaw [rad], x, y [m] off the truth, and its derivative by yaw [1/rad]."""
+    mesh, sonar, at = target(), sonar_for(frame.tilt_deg), moved(frame)
+    shape, beams = _window_size(mesh, sonar, at, BOUNDS)  # the window is refine_yaw's own
+    row, column, *_ = place_window(shape, mesh, sonar, at.x, at.y, SLACK_M)
+    part = jax.lax.dynamic_slice(jnp.asarray(image, jnp.float32), (row, column), shape)
+    steps = jnp.asarray(steps, jnp.float32)
+    found = _losses(part, at, jnp.float32(sharpness), (row, column), mesh, sonar, steps, beams, sub_beams)
+    return [np.asarray(values, float) for values in found]
+
+
+@partial(jax.jit, static_argnames=("beams", "sub_beams"))
+def _losses(
+    part: Any, at: Any, sharpness: Any, corner: Any, mesh: Any, sonar: Any, steps: Any, beams: int, sub_beams: int
+) -> Any:
+    problem = Problem(part, jnp.ones(part.shape), at, Window(*corner, part.shape, beams), sharpness)
+    blurs = [make_blur(part.shape, sigma) for sigma in BLURS_PX]
+
+    def one(step: jax.Array) -> tuple[jax.Array, ...]:
+        drawn, slope = draw_with_slope(problem, mesh, sonar, step, sub_beams)
+        pairs = [jax.jvp(partial(loss, problem, blur), (drawn,), (slope[0],)) for blur in blurs]
+        return tuple(jnp.stack(v) for v in zip(*pairs, strict=True))
+
+    return jax.lax.map(one, steps)
+
+
+def line_deg(settings: Settings) -> np.ndarray:
+    """The points of a line [deg], with one more at each end for the differences."""
+    half = round(settings.line_deg / LINE_STEP_DEG) + 1
+    return np.arange(-half, half + 1) * LINE_STEP_DEG
+
+
+def _line(name: MapName, frames: Sequence[TestFrame], settings: Settings) -> dict[str, np.ndarray]:
+    """Loss and derivatives [1/rad] (frame, point, blur) along a line of yaw, at refinement's quality and converged."""
+    steps = np.radians(line_deg(settings))[:, None] * [1.0, 0.0, 0.0]
+    parts = []
+    for frame in frames:
+        draw = partial(losses_at, map_of(name, frame), frame, SHARPNESS_OF[name], steps)
+        (own, derivative), (finer, _) = draw(SUB_BEAMS), draw(CONVERGED)
+        parts.append((own[1:-1], finer[1:-1], derivative[1:-1], central(finer), central(own)))
+    keys = ("loss", "converged_loss", "derivative", "differences", "own")
+    return {key: np.stack(values) for key, values in zip(keys, zip(*parts, strict=True), strict=True)}
+
+
+def central(values: np.ndarray) -> np.ndarray:
+    """Central differences [1/rad] of values (point, blur) along a line, but for its ends."""
+    return (values[2:] - values[:-2]) / math.radians(2 * LINE_STEP_DEG)
+
+
+def judged(ours: np.ndarray, finer: np.ndarray, own: np.ndarray) -> list[dict[str, float]]:
+    """A row for each blur, of derivatives and differences (frame, point, blur): errors as shares of the RMS."""
+    rows = []
+    for k, blur in enumerate(BLURS_PX):
+        rms = math.sqrt((finer[..., k] ** 2).mean())
+        clear = np.abs(finer[..., k]) > CLEAR * rms
+        error, own_error = (math.sqrt(((ours[..., k] - other[..., k]) ** 2).mean()) / rms for other in (finer, own))
+        sign = float((ours[..., k] * finer[..., k] > 0)[clear].mean())
+        rows.append({"blur": blur, "error": error, "sign": sign, "own_error": own_error})
+    return rows
+
+
+# ---------------------------------------------------------------- the landscape and ways through it
+
+
+def _landscape(name: MapName, frame: TestFrame, settings: Settings) -> dict[str, Any]:
+    """Loss (yaw, x, blur); paths (step, start, 2) of yaw [deg] and x [m] off the truth; where refine_yaw ends."""
+    image, count = map_of(name, frame), settings.grid
+    yaws, xs = (np.linspace(-reach, reach, count) for reach in (settings.reach_deg, settings.reach_m))
+    steps = np.stack(np.meshgrid(np.radians(yaws), xs, 0.0, indexing="ij"), axis=-1).reshape(-1, 3)
+    values, _ = losses_at(image, frame, SHARPNESS_OF[name], steps, SUB_BEAMS)
+    refine = partial(sj.refine_yaw, image, target(), sonar_for(frame.tilt_deg), sharpness=SHARPNESS_OF[name])
+    way = [moved(frame, *STARTS.T)]
+    for blur in (blur for blur in BLURS_PX for _ in range(ITERATIONS)):
+        way.append(refine(way[-1], blurs=(blur,), iterations=1).pose)  # step by step; none that makes it worse
+    path = np.stack([_off(frame, pose) for pose in way])
+    return {
+        "yaw_deg": yaws, "x_m": xs, "loss": values.reshape(count, count, -1), "path": path,
+        "end": _off(frame, refine(way[0]).pose), "true_yaw_deg": math.degrees(frame.yaw),
+    }  # fmt: skip
+
+
+def _off(frame: TestFrame, pose: sj.Pose) -> np.ndarray:
+    """Yaw [deg] and x [m] of poses (start,) from the truth: (start, 2)."""
+    turn = (np.degrees(np.asarray(pose.yaw) - frame.yaw) + 180.0) % 360.0 - 180.0
+    return np.stack([turn, np.asarray(pose.x) - GROUND_RANGE_M[frame.tilt_deg]], axis=1)
+
+
+def table(report: Report) -> str:
+    """Derivatives and paths as two tables."""
+    return "\n\n".join(columns(report[key], heads) for key, heads in HEADS.items())
+
+
+if __name__ == "__main__":
+    launch(run, Settings, table, smoke={"maps": ("labels",), "frames": 1, "line_deg": 2.0, "grid": 5})

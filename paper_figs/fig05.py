@@ -1,0 +1,42 @@
+"""Fig. 5: training pairs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from paper_figs import style
+from paper_figs.shared import Number, load
+
+ITEM = "Fig. 5"
+CAPTION = (
+    "Samples of training pairs: a simulated sonar image, cropped around the objects and rescaled to 128 × 128 pixels "
+    "(above), and its semantic map (below; highlight white, shadow black). Near ranges are below, port is left."
+)
+EXPERIMENTS = ("paper_scenes",)
+GREY_OF = (0.5, 1.0, 0.0)  # background, highlight, shadow
+
+
+def draw(runs: Path) -> Figure:
+    """Images above, maps below."""
+    pairs = load(runs, "paper_scenes").arrays("fig05")
+    count, size = len(pairs["image"]), pairs["image"].shape[-1]
+    figure = style.sheet(style.TWO_COLUMNS, 0.45 + 2 * 6.7 / max(count, 6))
+    axes = figure.subplots(2, count, squeeze=False)
+    for k in range(count):
+        maps = [[GREY_OF[label] for label in row] for row in pairs["labels"][k]]
+        for ax, image in zip(axes[:, k], (pairs["image"][k], maps), strict=True):
+            ax.imshow(image, cmap="gray", vmin=0, vmax=1, origin="lower", extent=(size, 0, 0, size))
+            ax.spines[:].set_visible(True)
+            ax.set(xticks=[], yticks=[])
+    axes[0, 0].set_ylabel("image")
+    axes[1, 0].set_ylabel("semantic map")
+    for ax in axes[1]:
+        ax.set_xlabel(f"{size} px")
+    return figure
+
+
+def numbers(runs: Path) -> list[Number]:
+    """A picture has none."""
+    return []

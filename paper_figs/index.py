@@ -1,0 +1,144 @@
+"""Which item is drawn by which script from which experiment, and what the paper says and we get."""
+
+from __future__ import annotations
+
+import importlib
+import re
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+from typing import Protocol
+
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+
+import sonarjax as sj
+from experiments.common.metrics import markdown
+from paper_figs import style
+from paper_figs.shared import Number, has_run, load
+
+FOLDER = Path(__file__).resolve().parent
+SCRIPT = re.compile(r"(fig|tab|sec|ext)\d\d\w*")
+KINDS = ("fig", "tab", "sec", "ext")
+HEAD = ("item", "script", "experiment", "what", "paper", "ours")
+MADE = ("command", "seed", "date", "code")
+NOT_RUN, DRAWN = "not run", "drawn"
+ABOUT = """# Figures
+
+The paper's figures, tables and numbers, and our own, drawn from what experiments left in `runs/`: nothing is
+simulated or trained here. This table is written by `python -m paper_figs --index`.
+
+```
+python -m experiments.reproduce_paper    # the experiment that an item needs: see the table
+python -m paper_figs fig08 tab03         # these items, PDF and PNG, to paper_figs/drawn
+python -m paper_figs --all               # all items whose experiments have run
+python -m paper_figs --report FILE.html  # one page with everything
+python -m paper_figs --index             # this table
+```
+
+"""
+
+
+class Script(Protocol):
+    """What each figure script has."""
+
+    __name__: str
+    ITEM: str
+    CAPTION: str
+    EXPERIMENTS: tuple[str, ...]
+
+    def draw(self, runs: Path) -> Figure:
+        """The figure, from `runs`."""
+
+    def numbers(self, runs: Path) -> list[Number]:
+        """Numbers beside the paper's."""
+
+
+@cache
+def scripts() -> dict[str, Script]:
+    """All scripts by name: the paper's figures, tables and sections, then our own."""
+    names = [path.stem for path in FOLDER.glob("*.py") if SCRIPT.fullmatch(path.stem)]
+    ordered = sorted(names, key=lambda name: (KINDS.index(name[:3]), name))
+    return {name: importlib.import_module(f"paper_figs.{name}") for name in ordered}  # type: ignore[misc]
+
+
+def find(name: str) -> str:
+    """The script whose name is or begins with `name`, such as ext01. Raises SonarjaxError when there is none."""
+    found = [script for script in scripts() if script == name] or [one for one in scripts() if one.startswith(name)]
+    if len(found) != 1:
+        raise sj.SonarjaxError(f"{name}: expected one of {', '.join(one.split('_')[0] for one in scripts())}")
+    return found[0]
+
+
+def missing(script: Script, runs: Path) -> list[str]:
+    """Experiments that a script needs and that have no finished run."""
+    return [name for name in script.EXPERIMENTS if not has_run(runs, name)]
+
+
+def is_smoke(script: Script, runs: Path) -> bool:
+    """Whether any run that a script draws from was a short one."""
+    return any(load(runs, name).smoke for name in script.EXPERIMENTS if has_run(runs, name))
+
+
+def command(experiment: str) -> str:
+    """What makes a run."""
+    return f"python -m experiments.{experiment}"
+
+
+def drawn(name: str, runs: Path) -> Figure:
+    """The figure of an item, marked where it shows a short run. Raises SonarjaxError when it cannot be drawn."""
+    script = scripts()[name]
+    try:
+        figure = script.draw(runs)
+    except (KeyError, IndexError, StopIteration) as error:
+        made = " and ".join(command(one) for one in script.EXPERIMENTS)
+        raise sj.SonarjaxError(f"{name}: the run lacks {error!r}, which this figure shows; run {made} again") from error
+    if is_smoke(script, runs):
+        style.mark_smoke(figure)
+    return figure
+
+
+def write_figure(name: str, runs: Path, out: Path) -> list[Path]:
+    """Draw an item as PNG and PDF into a folder. Raises SonarjaxError when it cannot be drawn."""
+    paths = [out / f"{name}.{kind}" for kind in ("png", "pdf")]
+    with rc_context(style.RC):
+        figure = drawn(name, runs)
+        for path in paths:
+            style.save(figure, path)
+    return paths
+
+
+def rows(runs: Path) -> list[list[str]]:
+    """The table's cells: a row for each number, or one for an item that has none."""
+    table = []
+    for name, script in scripts().items():
+        short = f" ({style.SMOKE})" if is_smoke(script, runs) else ""
+        where = [f"`{name}.py`", "<br>".join(f"`{command(one)}`" for one in script.EXPERIMENTS)]
+        lines: Sequence[Number | None] = script.numbers(runs) or [None]
+        for line in lines:
+            state = NOT_RUN if missing(script, runs) else DRAWN + short
+            if line is None:
+                table.append([script.ITEM, *where, "picture", "–", state])
+            else:
+                ours = NOT_RUN if line.ours is None else shown(line.ours) + short
+                table.append([script.ITEM, *where, line.what, shown(line.paper), ours])
+    return table
+
+
+def shown(value: float | None) -> str:
+    """A number with about four digits, a dash for none."""
+    if value is None:
+        return "–"
+    return f"{value:.4g}" if abs(value) < 1 or abs(value) >= 1000 else f"{value:.2f}"
+
+
+def experiments() -> list[str]:
+    """All experiments that an item is drawn from."""
+    return list(dict.fromkeys(name for script in scripts().values() for name in script.EXPERIMENTS))
+
+
+def text(runs: Path) -> str:
+    """paper_figs/README.md."""
+    found = [load(runs, name).report for name in experiments() if has_run(runs, name)]
+    made = [[f"`{run['command']}`", run["seed"], run["date"], run["git"] or run["code"]] for run in found]
+    return f"{ABOUT}{markdown(HEAD, rows(runs))}\n\nDrawn from:\n\n{markdown(MADE, made)}\n"

@@ -1,0 +1,135 @@
+"""What the figure scripts share: reading runs, numbers beside the paper's, sonar images cropped to the object."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+
+import sonarjax as sj
+from experiments.common.frames import sonar_for
+from experiments.common.runs import find_run, load_arrays, load_report
+from sonarjax.plot import plot_fan
+
+BACKGROUND, TOUCHED = 0.5, 0.25  # of a semantic image, and how far off it an object or its shadow is
+
+
+class Number(NamedTuple):
+    """One number beside the paper's."""
+
+    what: str
+    """What it is, with its unit."""
+    paper: float | None
+    """What the paper prints, None where it says nothing."""
+    ours: float | None
+    """What the run gave, None where there is no run."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """A finished run of an experiment."""
+
+    folder: Path
+    """Where it lies."""
+    report: dict[str, Any]
+    """Its results.json."""
+
+    @property
+    def smoke(self) -> bool:
+        """Whether it was made with --preset smoke."""
+        return self.report["preset"] == "smoke"
+
+    def arrays(self, name: str) -> dict[str, np.ndarray]:
+        """Arrays that it kept. Raises SonarjaxError when they are not there."""
+        return load_arrays(self.folder, name)
+
+
+def load(runs: Path, experiment: str) -> Run:
+    """The newest run of an experiment. Raises SonarjaxError, which says how to make one, when there is none."""
+    folder = find_run(runs, experiment)
+    return Run(folder, load_report(folder))
+
+
+def has_run(runs: Path, experiment: str) -> bool:
+    """Whether an experiment has a finished run."""
+    try:
+        find_run(runs, experiment)
+    except sj.SonarjaxError:
+        return False
+    return True
+
+
+Line = tuple[str, float | None, Callable[[dict[str, Any]], Any]]
+
+
+def listed(runs: Path, experiment: str, lines: Sequence[Line]) -> list[Number]:
+    """Numbers as (what, the paper's, how to take ours from the report); ours is None where there is no such number."""
+    report = load(runs, experiment).report if has_run(runs, experiment) else None
+    return [Number(what, said, None if report is None else _taken(take, report)) for what, said, take in lines]
+
+
+def _taken(take: Callable[[dict[str, Any]], Any], report: dict[str, Any]) -> float | None:
+    try:
+        value = take(report)
+    except (KeyError, IndexError, StopIteration):  # the run left this part out
+        return None
+    return None if value is None else float(value)
+
+
+def row_where(rows: Sequence[dict[str, Any]], **wanted: Any) -> dict[str, Any]:
+    """The first of the rows with these values. Raises StopIteration when there is none."""
+    return next(row for row in rows if all(row.get(key) == value for key, value in wanted.items()))
+
+
+def in_order(rows: Sequence[dict[str, Any]], key: str) -> list[Any]:
+    """The values of a column, each once, in the order in which they appear."""
+    return list(dict.fromkeys(row[key] for row in rows))
+
+
+# ---------------------------------------------------------------- sonar images
+
+
+def in_frame(template: np.ndarray, offset: Sequence[int], sonar: sj.Sonar) -> np.ndarray:
+    """A template (h, w) put where it lies in the frame (range, beam), background around it."""
+    frame = np.full(sonar.shape, BACKGROUND, np.float32)
+    (row, column), (height, width) = (int(v) for v in offset), template.shape
+    frame[row : row + height, column : column + width] = template
+    return frame
+
+
+def center_of(clean: np.ndarray, sonar: sj.Sonar) -> tuple[float, float]:
+    """Middle of object and shadow of a true map (range, beam): lateral and forward in the fan view [m]."""
+    rows, columns = np.nonzero(np.abs(clean - BACKGROUND) > TOUCHED)
+    ranges = np.linspace(float(sonar.range_min), float(sonar.range_max), sonar.n_ranges)
+    azimuth = np.asarray(sonar.azimuth, float)
+    away = (ranges[rows.min()] + ranges[rows.max()]) / 2
+    bearing = (azimuth[columns.min()] + azimuth[columns.max()]) / 2
+    return away * math.sin(bearing), away * math.cos(bearing)
+
+
+def close_up(
+    ax: Axes, image: np.ndarray, sonar: sj.Sonar, center: tuple[float, float], size: tuple[float, float], **how: Any
+) -> None:
+    """Draw an image (range, beam) as a fan, cut to a width and a height [m] around a place in it [m]."""
+    plot_fan(ax, image, sonar, **how)
+    (across, along), (width, height) = center, size
+    ax.set(xlim=(across + width / 2, across - width / 2), ylim=(along - height / 2, along + height / 2))
+    ax.spines[:].set_visible(True)
+    ax.set(xlabel="", ylabel="")
+
+
+def outer_labels(axes: np.ndarray, xlabel: str = "to port [m]", ylabel: str = "slant range [m]") -> None:
+    """Name the axes of a grid of panels (row, column) at its left and foot alone, and take the ticks off inside."""
+    for (row, column), ax in np.ndenumerate(axes):
+        ax.set(xlabel=xlabel if row == len(axes) - 1 else "", ylabel=ylabel if column == 0 else "")
+        ax.tick_params(labelbottom=row == len(axes) - 1, labelleft=column == 0)
+
+
+def tank_sonar(tilt_deg: Any) -> sj.Sonar:
+    """The sonar of §4.1 at a tilt [deg], whose axes an image has."""
+    return sonar_for(float(tilt_deg))

@@ -1,0 +1,39 @@
+"""Table 3: correlations of templates with segmented images."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from experiments.common import paper
+from experiments.common.tables import off_diagonal
+from paper_figs.matrix import blocks, draw_blocks, largest, mean_own
+from paper_figs.shared import Number, listed, load
+
+ITEM = "Table 3"
+CAPTION = (
+    "Matching results between the template images and the segmented images, means over four sets. Below Otsu's "
+    "threshold on a table's own values stands 0, and in ours the number under the zero in grey."
+)
+EXPERIMENTS = ("reproduce_paper",)
+PAPER = {"target": paper.TABLE_3_TARGET, "other": paper.TABLE_3_OTHER}
+
+
+def draw(runs: Path) -> Figure:
+    """The paper's table beside ours."""
+    table = load(runs, "reproduce_paper").report["tables"]["tab03"]
+    return draw_blocks(blocks(table, **PAPER), table["threshold"])
+
+
+def numbers(runs: Path) -> list[Number]:
+    """What the table comes to."""
+    return listed(runs, "reproduce_paper", [
+        ("target with its own template, mean", mean_own(paper.TABLE_3_TARGET),
+         lambda report: mean_own(report["tables"]["tab03"]["target"])),
+        ("target with other templates, largest shown", largest(off_diagonal(paper.TABLE_3_TARGET)),
+         lambda report: largest(off_diagonal(np.array(report["tables"]["tab03"]["target_shown"])))),
+        ("non-target, largest", largest(paper.TABLE_3_OTHER),
+         lambda report: largest(report["tables"]["tab03"]["other"])),
+    ])  # fmt: skip

@@ -1,0 +1,113 @@
+"""The helpers of the ablations: what they take away, what they compare with, and how they judge."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields, replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import sonarjax as sj
+from experiments import ablate_geometry, ablate_sensor, ablate_template, ablate_yaw_bin
+from experiments.ablate_geometry import Error, bank_with
+from experiments.ablate_sensor import EVERYTHING, NOTHING, PARTS, without
+from experiments.ablate_template import judged_at_place, only, scores_at_place
+from experiments.ablate_yaw_bin import floor_deg
+from experiments.common.frames import GROUND_RANGE_M, TestFrame
+from experiments.common.metrics import summary_deg
+from sonarjax.sensor import SensorModel
+
+
+def frame(yaw_deg: float, is_target: bool = True, tilt_deg: float = 20.0) -> TestFrame:
+    """A frame of which only the truth matters."""
+    nothing = np.zeros((1, 1), np.float32)
+    return TestFrame(nothing, nothing, is_target, math.radians(yaw_deg), tilt_deg)
+
+
+@pytest.mark.parametrize("width", [2.0, 30.0])
+def test_floor_is_that_of_rounding_to_the_nearest_bin(width, rng):
+    yaw = rng.uniform(0.0, 360.0, 200_000)
+    drawn = summary_deg(np.abs(yaw - width * np.round(yaw / width)))
+    for name, value in floor_deg(width).items():  # a share of 200,000 draws is good to 0.2 %
+        assert value == pytest.approx(drawn[name], rel=0.01)
+
+
+def test_only_one_class_is_left_of_a_template():
+    grey = np.array([[0.0, 0.3, 0.5], [0.5, 0.8, 1.0]], np.float32)
+    np.testing.assert_array_equal(only("both", grey), grey)
+    np.testing.assert_array_equal(only("highlight", grey), np.float32([[0.5, 0.5, 0.5], [0.5, 0.8, 1.0]]))
+    np.testing.assert_array_equal(only("shadow", grey), np.float32([[0.0, 0.3, 0.5], [0.5, 0.5, 0.5]]))
+
+
+def test_a_map_matches_its_own_template_of_a_part(rng):
+    templates = rng.choice(np.float32([0.0, 0.5, 1.0]), (4, 8, 6))
+    image = np.full((40, 20), 0.5, np.float32)
+    image[5:13, 7:13] = templates[2]
+    for part in ("highlight", "shadow"):
+        bank = sj.TemplateBank(jnp.asarray(only(part, templates)), jnp.arange(4.0))
+        scores = scores_at_place([only(part, image)], [frame(0.0)], {20.0: bank})
+        assert scores.shape == (1, 4) and scores[0, 2] == pytest.approx(1.0, abs=1e-4) and scores.argmax() == 2
+        whole = scores_at_place([image], [frame(0.0)], {20.0: bank})
+        assert whole[0, 2] < 0.95  # what the template lacks is there in the map
+
+
+def test_each_tilt_is_matched_with_its_own_bank(rng):
+    template = {tilt: rng.random((4, 8, 6), np.float32) for tilt in (15.0, 25.0)}
+    frames = [frame(0.0, tilt_deg=tilt) for tilt in (25.0, 15.0)]
+    maps = [np.pad(template[f.tilt_deg][1], ((9, 23), (7, 7)), constant_values=0.5) for f in frames]
+    banks = {tilt: sj.TemplateBank(jnp.asarray(views), jnp.arange(4.0)) for tilt, views in template.items()}
+    scores = scores_at_place(maps, frames, banks)
+    np.testing.assert_allclose(scores[:, 1], 1.0, atol=1e-4)
+    assert (np.delete(scores, 1, axis=1) < 0.9).all()
+
+
+def test_scores_are_judged_by_bin_and_threshold():
+    scores = np.full((4, 36), 0.1)
+    scores[0, 3], scores[0, 9] = 0.9, 0.4  # 30°: right, and the best of the wrong ones 60° off
+    scores[1, 34], scores[1, 35], scores[1, 0] = 0.6, 0.8, 0.7  # 354°: 350° is nearer than 360°
+    scores[2, 20], scores[2, 2] = 0.7, 0.5  # 21°: taken for 200°
+    scores[3, 5] = 0.75  # the other object
+    found = judged_at_place(scores, [frame(30.0), frame(354.0), frame(21.0), frame(0.0, is_target=False)])
+    assert found["best_accuracy"] == 0.75 and found["best_threshold"] == 0.8
+    assert found["bin_right"] == pytest.approx(2 / 3)
+    assert found["score_own"] == pytest.approx((0.9 + 0.7 + 0.5) / 3 if False else (0.9 + 0.8 + 0.5) / 3)
+    assert found["score_wrong"] == pytest.approx((0.4 + 0.1 + 0.7) / 3)
+    assert found["score_other"] == 0.75
+
+
+def test_a_bank_is_rendered_for_the_wrong_geometry(monkeypatch):
+    monkeypatch.setattr(sj, "template_bank", lambda mesh, sonar, yaws, x: (math.degrees(float(sonar.tilt)), x))
+    assert bank_with(Error("tilt", -5.0, 0.0), 20.0) == pytest.approx((15.0, GROUND_RANGE_M[20.0]))
+    assert bank_with(Error("distance", 0.0, 0.3), 25.0) == pytest.approx((25.0, GROUND_RANGE_M[25.0] + 0.3))
+
+
+def test_switching_off_changes_only_what_it_names():
+    nominal = SensorModel.nominal()
+    assert without(NOTHING) == nominal
+    for part, change in PARTS.items():
+        model = without(part)
+        differing = {f.name for f in fields(nominal) if getattr(model, f.name) != getattr(nominal, f.name)}
+        assert differing == set(change)
+    everything = without(EVERYTHING)
+    for part, change in PARTS.items():
+        assert replace(everything, **change) == everything, part
+
+
+@pytest.mark.parametrize("options", [{"bins_deg": (7,)}, {"bins_deg": (0,)}])
+def test_bins_must_close_the_circle(options):
+    with pytest.raises(ValueError, match="divisors of 360"):
+        ablate_yaw_bin.Settings(**options)
+
+
+def test_an_unknown_part_is_refused():
+    with pytest.raises(ValueError, match="unknown rain"):
+        ablate_sensor.Settings(parts=("speckle", "rain"))
+
+
+@pytest.mark.parametrize("experiment", [ablate_geometry, ablate_sensor, ablate_template, ablate_yaw_bin])
+def test_a_table_has_a_column_for_each_head(experiment):
+    values = {name: 0.5 for name in experiment.HEADS}
+    lines = experiment.table({"rows": [values]}).splitlines()
+    assert len(lines) == 3 and lines[0].count("|") == len(experiment.HEADS) + 1 == lines[2].count("|")

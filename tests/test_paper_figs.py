@@ -1,0 +1,365 @@
+"""The figure scripts: each is indexed and draws from tiny made-up runs; page and tables say what they should."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib import rc_context
+from skimage.io import imread
+
+from experiments import evaluate_segmenters, reproduce_paper
+from experiments.common import paper
+from experiments.common.tables import correlation_table, receiver_curve
+from paper_figs import index, readme, report, style
+from paper_figs.__main__ import main
+from paper_figs.shared import load
+from sonarjax.io import SonarjaxError, write_npz
+
+PROJECT = Path(__file__).resolve().parent.parent
+SHAPE = (512, 96)
+SEGMENTERS = ("pix2pix", "none")
+WANTED = [*(f"fig{k:02}" for k in range(1, 9)), "tab03", "tab04", "sec32", "sec43", "sec44"]
+OWN = 10  # at least so many figures of our own
+PAPER = {
+    "tab03": [np.mean([0.6837, 0.7697, 0.5776, 0.7162]), 0.0, 0.5715],
+    "tab04": [np.mean([0.5972, 0.6446, 0.4726, 0.5735]), 0.4709],
+    "sec32": [paper.TRAINING_HOURS],
+    "sec43": [paper.PSNR_RAW, paper.PSNR_MAP, paper.PSNR_GAIN, paper.IOU],
+    "sec44": [paper.ACCURACY],
+}
+
+
+# ---------------------------------------------------------------- runs that no experiment made
+
+
+def finish(runs: Path, experiment: str, results: dict[str, Any], *, preset: str = "full", **arrays: Any) -> None:
+    """A finished run: `arrays` are dicts of arrays by the name of their file."""
+    folder = runs / experiment / "made-up-s0"
+    folder.mkdir(parents=True)
+    facts = {"experiment": experiment, "preset": preset, "seed": 0, "settings": {}, "versions": {"sonarjax": "0"}}
+    facts |= {"git": "0123456789", "code": "c0de", "device": "cpu", "date": "2020-02-02", "seconds": 1.0}
+    facts["command"] = f"python -m experiments.{experiment}"
+    (folder / "results.json").write_text(json.dumps(facts | results), encoding="utf-8")
+    for name, values in arrays.items():
+        write_npz(folder / f"{name}.npz", **{key: np.asarray(value) for key, value in values.items()})
+
+
+def row(rng: np.random.Generator, *keys: str, **more: Any) -> dict[str, Any]:
+    return {key: float(rng.uniform(0.2, 0.9)) for key in keys} | more
+
+
+def maps(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Noisy frames and true maps (frame, range, beam)."""
+    clean = np.full((count, *SHAPE), 0.5, np.float32)
+    clean[:, 170:190, 40:56], clean[:, 190:270, 42:54] = 1.0, 0.0
+    return np.clip(clean + rng.normal(0, 0.2, clean.shape), 0, 1).astype(np.float32), clean
+
+
+def make_scenes(runs: Path, rng: np.random.Generator) -> None:
+    image, clean = maps(rng, 2)
+    corners = np.array([[0, 0, 0], [0.2, 0, 0], [0, 0.1, 0], [0, 0, 0.1]])
+    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    names = ("concrete cylinder", "plastic ball", "clay brick", "target", "non-target")
+    finish(
+        runs,
+        "paper_scenes",
+        {"shapes": {"fig02": {"image": "2"}}},
+        fig02={"image": image, "clean": clean, "yaw_deg": [0, 90], "tilt_deg": 20.0},
+        fig03={"templates": clean[[0, 1, 0, 1], 150:300, 30:66], "yaw_deg": [0, 90, 180, 270], "offset": [150, 30],
+               "tilt_deg": 20.0},
+        fig04={f"{name}/{key}": v for name in names for key, v in (("vertices", corners), ("faces", faces))},
+        fig05={"image": rng.uniform(size=(2, 128, 128)), "labels": rng.integers(0, 3, (2, 128, 128))},
+    )  # fmt: skip
+
+
+def make_reproduction(runs: Path, rng: np.random.Generator, preset: str = "full") -> None:
+    own, yaw = np.repeat([True, False] * 4, 4), np.tile([0.0, 90.0, 180.0, 270.0], 8)
+    image, clean = maps(rng, 8)
+    kept = {"image": image, "semantic": clean, "truth": clean, "is_target": [True] * 4 + [False] * 4,
+            "tilt_deg": [15.0, 20.0, 25.0, 20.0] * 2}  # fmt: skip
+    arrays, rows, tables = {}, [], {}
+    for name, table in zip(SEGMENTERS, ("tab03", "tab04"), strict=True):
+        scores = rng.uniform(0.3, 0.8, (32, 36))
+        false, true, area = receiver_curve(scores.max(axis=1), own)
+        arrays[f"grid_{name}"] = {"scores": scores, "score": scores.max(axis=1), "is_target": own, "yaw_deg": yaw,
+                                  "false_positive": false, "true_positive": true}  # fmt: skip
+        arrays[f"maps_{name}"] = kept
+        tables[table] = correlation_table(scores, yaw, own)
+        keys = (*reproduce_paper.HEADS, "psnr", "psnr_raw", "psnr_gain", "psnr_gain_wide", "threshold")
+        rows.append(row(rng, *keys, auc=area, segmenter=name))
+    lines = reproduce_paper.beside_the_paper(rows, tables, 32)
+    plain = {item: {k: np.asarray(v).tolist() for k, v in table.items()} for item, table in tables.items()}
+    finish(runs, "reproduce_paper", {"rows": lines, "segmenters": rows, "tables": plain}, preset=preset, **arrays)
+
+
+def make_bench(runs: Path) -> None:
+    rows = [{"width": width, "work": "training", "images": {"ours": 80.0 / width, "torch": 100.0 / width}}
+            for width in (16, 64)]  # fmt: skip
+    finish(runs, "bench_train", {"rows": rows, "cores": 2})
+
+
+def make_yaws(runs: Path, rng: np.random.Generator) -> None:
+    errors: dict[str, Any] = {"sorted_floor_deg": np.linspace(0, 5, 20)}
+    for name in SEGMENTERS:
+        errors |= {f"{name}_error_deg": rng.normal(0, 1, 20), f"{name}_std_deg": np.ones(20)}
+        errors |= {f"sorted_{name}_{key}_deg": np.sort(rng.uniform(0, 5, 20)) for key in ("error", "bin_error")}
+    cost = [row(rng, "single", "each", what=what) for what in ("refine_yaw", "recognize")]
+    lines = [
+        row(rng, "median", segmenter=name, yaw=yaw) for name in SEGMENTERS for yaw in ("best of the grid", "refined")
+    ]
+    settings = {"settings": {"segmenters": SEGMENTERS}}
+    finish(runs, "continuous_yaw", settings | {"errors": lines, "cost": cost}, errors=errors)
+    starts = (-5.0, 0.0, 5.0)
+    basin = [row(rng, "within_1", "within_2", map="labels", blurs=blurs, start_deg=s) for blurs in "ab" for s in starts]
+    finish(runs, "yaw_basin", {"rows": basin})
+    land = {"yaw_deg": np.linspace(-40, 40, 5), "x_m": np.linspace(-0.1, 0.1, 5), "loss": rng.uniform(size=(5, 5, 2)),
+            "path": rng.uniform(-0.05, 0.05, (3, 2, 2)), "end": np.zeros((2, 2))}  # fmt: skip
+    slopes = {"blur": [8.0, 0.8]}
+    slopes |= {f"labels_{key}": rng.normal(size=(1, 9, 2)) for key in ("derivative", "differences")}
+    found = {"settings": {"maps": ["labels"]}, "derivatives": [row(rng, "error", "sign", map="labels")]}
+    finish(runs, "yaw_landscape", found, derivatives=slopes, landscape_labels=land)
+    yaws = {"square_box_true_yaw_deg": rng.uniform(0, 360, 6), "square_box_truth_yaw_deg": rng.uniform(0, 360, (6, 2))}
+    box = {"object": "square box", "period_deg": 90.0, "segmenter": "truth"}
+    finish(runs, "symmetric_objects", {"rows": [box]}, hypotheses=yaws)
+
+
+def make_ablations(runs: Path, rng: np.random.Generator) -> None:
+    measures = ("accuracy", "best_accuracy", "bin_right", "score_target", "score_other", "score_own", "score_wrong")
+    yaws = tuple(f"{stage}_{key}" for stage in ("bin", "yaw") for key in ("median", "astray", "ms"))
+    quality = ("iou", "psnr", "iou_mean", "iou_highlight", "iou_shadow", "psnr_gain_db")
+
+    def rows(**varied: Any) -> dict[str, Any]:
+        ((key, values),) = varied.items()
+        keys = (*measures, *yaws, *quality)
+        return {"rows": [row(rng, *keys, segmenter=name, map=name, **{key: v}) for name in SEGMENTERS for v in values]}
+
+    finish(runs, "ablate_severity", rows(severity=(0.0, 1.0, 2.0)))
+    finish(runs, "ablate_yaw_bin", rows(bin_deg=(2, 10, 30)))
+    finish(runs, "ablate_template", rows(part=("both", "highlight", "shadow")))
+    finish(runs, "ablate_sensor", rows(part=("nothing", "speckle", "all of them")))
+    wrong = [row(rng, *measures, map="truth", wrong=wrong, tilt_error_deg=off, distance_error_m=off / 10)
+             for wrong in ("tilt", "distance") for off in (-1.0, 0.0, 1.0)]  # fmt: skip
+    finish(runs, "ablate_geometry", {"rows": wrong})
+    curve = {"images": [8.0, 16.0], "iou_mean": [0.1, 0.3]}
+    trained = [row(rng, *quality, variant=name, curve=curve) for name in ("eq. 3", "no skips")]
+    finish(runs, "ablate_training", {"rows": trained})
+
+
+def make_segmenters(runs: Path, rng: np.random.Generator, preset: str = "full") -> None:
+    keys = (*evaluate_segmenters.COLUMNS, *evaluate_segmenters.YAW_COLUMNS)
+    lines = [row(rng, *keys, segmenter=name) for name in SEGMENTERS] + [
+        row(rng, *keys, segmenter="truth", psnr_gain=None)
+    ]
+    sets = {title: lines for title in evaluate_segmenters.SETS}
+    finish(runs, "evaluate_segmenters", {"sets": sets}, preset=preset)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder, rng = tmp_path_factory.mktemp("runs"), np.random.default_rng(0)
+    make_bench(folder)
+    for make in (make_scenes, make_reproduction, make_yaws, make_ablations, make_segmenters):
+        make(folder, rng)
+    return folder
+
+
+# ---------------------------------------------------------------- the index
+
+
+def test_every_item_has_a_script() -> None:
+    names = list(index.scripts())
+    assert [name for name in WANTED if name not in names] == []
+    assert len([name for name in names if name.startswith("ext")]) >= OWN
+
+
+def test_every_script_is_indexed_and_every_row_has_a_script(runs: Path) -> None:
+    others = {"__init__", "__main__", "index", "matrix", "readme", "report", "shared", "solid", "style"}
+    files = {path.stem for path in (PROJECT / "paper_figs").glob("*.py")}
+    assert files - others == set(index.scripts())
+    shown = {cells[1].strip("`") for cells in index.rows(runs)}
+    assert shown == {f"{name}.py" for name in index.scripts()}
+
+
+@pytest.mark.parametrize("name", index.scripts())
+def test_script_says_what_it_is(name: str) -> None:
+    script = index.scripts()[name]
+    assert script.ITEM and script.CAPTION.endswith(".") and script.EXPERIMENTS
+    for experiment in script.EXPERIMENTS:
+        assert (PROJECT / "experiments" / f"{experiment}.py").is_file()
+    source = (PROJECT / "paper_figs" / f"{name}.py").read_text(encoding="utf-8")
+    assert not re.search(r"\b(render|recognize|template_bank|refine_yaw|paper_frames)\(", source)  # it only reads
+
+
+@pytest.mark.parametrize("name", index.scripts())
+def test_numbers_of_the_paper(name: str, runs: Path, tmp_path: Path) -> None:
+    numbers = index.scripts()[name].numbers(runs)
+    said = [number.paper for number in numbers if number.paper is not None]
+    np.testing.assert_allclose(said, PAPER.get(name, []), atol=1e-9)
+    assert {number.ours for number in index.scripts()[name].numbers(tmp_path)} <= {None}
+    if name in PAPER:
+        assert all(number.ours is not None for number in numbers)
+
+
+def test_sections_agree_with_the_experiment(runs: Path) -> None:
+    lines = {line["what"]: line["ours"] for line in load(runs, "reproduce_paper").report["rows"]}
+    for name in ("sec43", "sec44"):
+        shared = [number for number in index.scripts()[name].numbers(runs) if number.what in lines]
+        assert shared and all(number.ours == lines[number.what] for number in shared)
+
+
+def test_training_time(runs: Path) -> None:
+    ours, peer = index.scripts()["sec32"].numbers(runs)
+    assert ours.ours == pytest.approx(30 * 6780 / (80 / 64) / 3600)
+    assert peer.ours == pytest.approx(30 * 6780 / (100 / 64) / 3600)
+
+
+def test_a_name_may_be_short() -> None:
+    assert index.find("ext01") == "ext01_continuous_yaw"
+    with pytest.raises(SonarjaxError, match="expected one of fig01"):
+        index.find("fig99")
+
+
+# ---------------------------------------------------------------- drawing
+
+
+@pytest.mark.parametrize("name", index.scripts())
+def test_item_draws(name: str, runs: Path) -> None:
+    file = io.BytesIO()
+    with rc_context(style.RC):
+        figure = index.drawn(name, runs)
+        figure.savefig(file, format="png", dpi=50)
+    pixels = imread(io.BytesIO(file.getvalue()))
+    assert pixels.std() > 0
+    assert figure.get_figwidth() in (style.ONE_COLUMN, style.TWO_COLUMNS)
+    assert pixels.shape[1] == round(50 * figure.get_figwidth())
+    assert not [text for text in figure.findobj(match=lambda artist: artist.get_gid() == "smoke")]
+    sizes = [text.get_fontsize() for text in figure.findobj(match=lambda a: hasattr(a, "get_fontsize"))]
+    assert min(sizes) >= 8
+
+
+def test_files_have_the_size_of_print(runs: Path, tmp_path: Path) -> None:
+    assert main(["tab04", "--runs", str(runs), "--out", str(tmp_path)]) == 0
+    pixels = imread(tmp_path / "tab04.png")
+    assert pixels.shape[1] == round(style.TWO_COLUMNS * style.DPI)
+    assert pixels.std() > 0
+    assert (tmp_path / "tab04.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_a_short_run_is_marked(tmp_path: Path, rng: np.random.Generator) -> None:
+    make_reproduction(tmp_path, rng, preset="smoke")
+    with rc_context(style.RC):
+        figure = index.drawn("tab04", tmp_path)
+    assert [text.get_text() for text in figure.texts] == [style.SMOKE]
+    assert all(style.SMOKE in cells[-1] for cells in index.rows(tmp_path) if "tab0" in cells[1])
+
+
+def test_a_short_run_is_marked_in_the_page(tmp_path: Path) -> None:
+    rows = [row(np.random.default_rng(0), *reproduce_paper.HEADS, severity=1.0, score_target=0.5, score_other=0.4)]
+    finish(tmp_path, "ablate_severity", {"rows": rows}, preset="smoke")
+    assert report.page(tmp_path).count(report.SMOKE) >= 2
+
+
+def test_a_missing_run_is_one_clear_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["fig08", "--runs", str(tmp_path), "--out", str(tmp_path)]) == 1
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 1
+    assert "no finished run; `python -m experiments.reproduce_paper` makes one" in said[0]
+    assert main(["--all", "--runs", str(tmp_path), "--out", str(tmp_path)]) == 0
+    assert "fig08: not run: python -m experiments.reproduce_paper" in capsys.readouterr().out
+
+
+def test_a_run_of_other_code_is_one_clear_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    finish(tmp_path, "ablate_severity", {"rows": [{"severity": 1.0}]})
+    assert main(["ext06", "--runs", str(tmp_path), "--out", str(tmp_path)]) == 1
+    assert "run python -m experiments.ablate_severity again" in capsys.readouterr().err
+
+
+# ---------------------------------------------------------------- the page and the tables
+
+
+class Sources(HTMLParser):
+    """What a page loads, and whether its elements are closed in order."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.loaded: list[str] = []
+        self.open: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.loaded += [value or "" for key, value in attrs if key in ("src", "srcset", "data")]
+        self.loaded += [value or "" for key, value in attrs if key == "href" and not (value or "").startswith("#")]
+        if tag not in ("meta", "img", "br", "link"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+def test_page_of_some_runs_loads_nothing(tmp_path: Path, rng: np.random.Generator) -> None:
+    make_bench(tmp_path)
+    make_ablations(tmp_path, rng)
+    page = report.page(tmp_path)
+    sources = Sources()
+    sources.feed(page)
+    assert sources.open == []
+    assert sources.loaded and all(source.startswith("data:image/png;base64,") for source in sources.loaded)
+    assert "http" not in page and "@import" not in page and "url(" not in page
+    assert 'id="sec32"' in page and 'id="fig08"' not in page
+    assert "python -m experiments.reproduce_paper" in page
+    assert "0123456789" in page and "2020-02-02" in page
+
+
+def test_page_has_the_tables(tmp_path: Path, rng: np.random.Generator) -> None:
+    make_reproduction(tmp_path, rng)
+    run = load(tmp_path, "reproduce_paper")
+    text = report.numbers(run)
+    for value in (*np.diag(paper.TABLE_3_TARGET), *np.diag(paper.TABLE_4)):
+        assert f"{value:.4f}" in text
+    table = run.report["tables"]["tab03"]
+    below = np.array(table["target"])[np.array(table["target_shown"]) == 0]
+    assert len(below) and all(f'<span class="under">{value:.4f}</span>' in text for value in below)
+
+
+def test_no_run_at_all_is_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--report", str(tmp_path / "report.html"), "--runs", str(tmp_path)]) == 1
+    assert "no finished run" in capsys.readouterr().err
+    assert not (tmp_path / "report.html").exists()
+
+
+MARKED = "before\n\n<!-- {0}:begin -->\nof last year\n<!-- {0}:end -->\n\n<!-- {1}:begin -->\n<!-- {1}:end -->\nafter\n"
+
+
+def test_readme_is_filled_between_its_markers(runs: Path, tmp_path: Path) -> None:
+    path = tmp_path / "README.md"
+    path.write_text(MARKED.format(*readme.NEEDED), encoding="utf-8")
+    readme.update(path, runs)
+    text = path.read_text(encoding="utf-8")
+    assert text.startswith("before\n") and text.endswith("after\n") and "of last year" not in text
+    assert "| pix2pix |" in text and "seed 0, 2020-02-02, commit 0123456789" in text
+    assert not re.search(r"^[^|\n].*\n\|", text, re.MULTILINE)  # an empty line before each table
+    readme.update(path, runs)
+    assert path.read_text(encoding="utf-8") == text
+
+
+@pytest.mark.parametrize("broken", ["nothing", "<!-- reproduce_paper:end -->\n<!-- reproduce_paper:begin -->"])
+def test_readme_without_markers_is_left_alone(runs: Path, tmp_path: Path, broken: str) -> None:
+    path = tmp_path / "README.md"
+    path.write_text(broken, encoding="utf-8")
+    with pytest.raises(SonarjaxError, match="expected one line <!-- reproduce_paper:begin -->"):
+        readme.update(path, runs)
+    assert path.read_text(encoding="utf-8") == broken
+
+
+def test_readme_takes_full_runs_only(tmp_path: Path, rng: np.random.Generator) -> None:
+    with pytest.raises(SonarjaxError, match="no finished run"):
+        readme.block("evaluate_segmenters", tmp_path)
+    make_segmenters(tmp_path, rng, preset="smoke")
+    with pytest.raises(SonarjaxError, match="preset smoke"):
+        readme.block("evaluate_segmenters", tmp_path)
