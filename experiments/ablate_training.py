@@ -66,9 +66,9 @@ class Settings:
     """Which variants, by the names of the table."""
     width: int = 8
     """Channels of the first layer of both networks."""
-    images: int = 8192
+    images: int = 4096
     """Images that each training sees."""
-    pairs: int = 2048
+    pairs: int = 1024
     """Different pairs among them, where the variant says nothing else."""
     validation_pairs: int = 128
     """Pairs that judge all variants."""

@@ -57,7 +57,7 @@ class Settings:
     bins_deg: tuple[int, ...] = (2, 5, 10, 15, 30)
     """Widths of a yaw bin [deg], divisors of 360; the paper's is 10."""
     segmenters: tuple[str, ...] = ("truth", "pix2pix", "none")
-    """Segmenters to compare; truth is the true map, of the renderer that also refines: it says what the bins do alone."""
+    """Segmenters to compare; truth is the true map, drawn by the renderer that refines: it shows the bins alone."""
     step_deg: int = 20
     """Yaw step of each set [deg]; each frame's yaw is drawn anywhere in its step."""
 

@@ -126,10 +126,12 @@ def rows(runs: Path) -> list[list[str]]:
 
 
 def shown(value: float | None) -> str:
-    """A number with about four digits, a dash for none."""
+    """A number as it is read best: shares with four decimals, a dash for none."""
     if value is None:
         return "–"
-    return f"{value:.4g}" if abs(value) < 1 or abs(value) >= 1000 else f"{value:.2f}"
+    if value == int(value) and abs(value) != 1:
+        return f"{value:.0f}"
+    return f"{value:.4f}" if abs(value) <= 1 else f"{value:.2f}"
 
 
 def experiments() -> list[str]:

@@ -58,7 +58,7 @@ def lacking(names: list[str]) -> str:
 def numbers(run: Run) -> str:
     """The paper's numbers beside ours, the segmenters, Tables 3 and 4."""
     mark = SMOKE if run.smoke else ""
-    parts = [f"<p>{escape(origin(run.report))}{mark}</p>", named_table(run.report["rows"], BESIDE)]
+    parts = [f"<p>{escape(origin(run.report).replace('`', ''))}{mark}</p>", named_table(run.report["rows"], BESIDE)]
     parts += ["<h3>Segmenters</h3>", named_table(run.report["segmenters"], HEADS)]
     for script, key in ((tab03, "tab03"), (tab04, "tab04")):
         table = run.report["tables"][key]
@@ -159,27 +159,16 @@ def from_markdown(text: str) -> str:
 
 def settings(found: dict[str, Run]) -> str:
     """How each run was made."""
-    rows = []
+    rows, more = [], []
     for name, run in found.items():
         report = run.report
+        rows.append([name, report["preset"], str(report["seed"]), report["date"], report["git"] or "–", report["code"],
+                     report["device"], f"{report['seconds']:.0f}", report["command"]])  # fmt: skip
         versions = ", ".join(f"{key} {value}" for key, value in report["versions"].items())
-        facts = [name, report["preset"], str(report["seed"]), report["date"], report["git"] or "–", report["code"],
-                 report["device"], f"{report['seconds']:.0f} s", report["command"], versions]  # fmt: skip
-        rows.append([*facts, json.dumps(report["settings"], ensure_ascii=False)])
-    head = [
-        "experiment",
-        "preset",
-        "seed",
-        "date",
-        "commit",
-        "code",
-        "device",
-        "time",
-        "command",
-        "versions",
-        "settings",
-    ]
-    return html_table(head, rows)
+        chosen = json.dumps(report["settings"], ensure_ascii=False)
+        more.append(f"<p><b>{escape(name)}</b> {escape(versions)}<br><code>{escape(chosen)}</code></p>")
+    head = ["experiment", "preset", "seed", "date", "commit", "code", "device", "time [s]", "command"]
+    return f"{html_table(head, rows)}<details><summary>settings and versions</summary>{''.join(more)}</details>"
 
 
 def absent(runs: Path) -> str:

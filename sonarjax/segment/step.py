@@ -50,8 +50,6 @@ class GanConfig:
     """How the layers are computed, see `layers`."""
     learning_rate: float = 2e-4
     """Adam's step size."""
-    decay_steps: tuple[int, int] | None = None
-    """First and last step of a linear fall of the step size to zero; None keeps it."""
     beta1: float = 0.5
     """Adam's decay of the mean gradient."""
     beta2: float = 0.999
@@ -83,11 +81,7 @@ class GanConfig:
 
     def optimiser(self) -> optax.GradientTransformation:
         """Adam, the same for both networks."""
-        rate: float | optax.Schedule = self.learning_rate
-        if self.decay_steps is not None:
-            first, last = self.decay_steps
-            rate = optax.linear_schedule(self.learning_rate, 0.0, last - first, first)
-        return optax.adam(rate, self.beta1, self.beta2)
+        return optax.adam(self.learning_rate, self.beta1, self.beta2)
 
 
 @jax.tree_util.register_dataclass
