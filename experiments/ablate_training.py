@@ -39,7 +39,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "no discriminator": {"adversarial": 0.0},
     "no skips": {"skips": False},
     "classes": {"head": "classes"},
-    "shipped loss": {"head": "classes", "adversarial": 0.1, "cross_entropy": 20.0},
+    "shipped loss": {"head": "classes", "adversarial": 0.25, "cross_entropy": 20.0},
 }
 """What each variant changes in the networks or in eq. 3, which has N affine, λ = 100 and grey output by tanh.
 `classes` puts out three classes' logits; `shipped loss` has cross-entropy beside eq. 3 then, as the shipped network."""

@@ -39,7 +39,7 @@ ERROR_HEADS = {
     "within_1": "within 1°", "astray": f"beyond {ASTRAY_DEG:g}°",
 }  # fmt: skip
 STD_HEADS = {
-    "segmenter": "segmenter", "yaw_std": "yaw_std, median [°]", "median_z": "median of |error| / yaw_std",
+    "segmenter": "segmenter", "yaw_std": "yaw_std, median [°]", "median_z": "median of error / yaw_std",
     "within_1_std": "within 1 yaw_std", "within_2_std": "within 2", "within_2_std_all": "within 2, those astray too",
 }  # fmt: skip
 COST_HEADS = {"what": "what", "single": "one frame [ms]", "each": "each of a batch [ms]", "frames": "batch"}

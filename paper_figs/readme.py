@@ -11,9 +11,10 @@ import re
 from pathlib import Path
 from typing import Any
 
-from experiments.common.runs import ROOT
+from experiments.common.launch import combined
+from experiments.common.runs import RESULTS, ROOT, load_report
 from paper_figs.index import command
-from paper_figs.shared import load
+from paper_figs.shared import Run, load
 from sonarjax.io import SonarjaxError, write_text
 
 PATH = ROOT / "README.md"
@@ -43,11 +44,32 @@ def filled(text: str, name: str, content: str, path: Path) -> str:
 
 
 def block(name: str, runs: Path) -> str:
-    """An experiment's table and where it comes from. Raises SonarjaxError without a full run."""
+    """An experiment's table, over all seeds that were run, and where it comes from.
+
+    Raises SonarjaxError without a full run.
+    """
     run = load(runs, name)
     if run.smoke:
         raise SonarjaxError(f"{run.folder}: a run of preset smoke is nothing for README; run {command(name)}")
-    return f"{spaced(own_table(name, run.report))}\n\n*{origin(run.report)}*"
+    reports = of_all_seeds(run)
+    return f"{spaced(own_table(name, combined(reports, mean_and_spread)))}\n\n*{origin(reports)}*"
+
+
+def of_all_seeds(run: Run) -> list[dict[str, Any]]:
+    """The reports of a run and of the same settings and code with other seeds, by seed."""
+    settings = run.folder.name.rpartition("-s")[0]
+    folders = [path.parent for path in run.folder.parent.glob(f"{settings}-s*/{RESULTS}")]
+    reports = [report for report in map(load_report, folders) if report["code"] == run.report["code"]]
+    return sorted(reports, key=lambda report: report["seed"])
+
+
+def mean_and_spread(values: list[float]) -> Any:
+    """Mean ± half of largest less smallest; the number itself where all are the same to what a table shows."""
+    mean, half = sum(values) / len(values), (max(values) - min(values)) / 2
+    if half < 5e-4:
+        return values[0]
+    digits = 2 if abs(mean) >= 10 else 3
+    return f"{mean:.{digits}f} ± {half:.{digits}f}"
 
 
 def own_table(name: str, report: dict[str, Any]) -> str:
@@ -55,10 +77,12 @@ def own_table(name: str, report: dict[str, Any]) -> str:
     return str(importlib.import_module(f"experiments.{name}").table(report))
 
 
-def origin(report: dict[str, Any]) -> str:
-    """Command, seed, date and code of a run."""
+def origin(reports: list[dict[str, Any]]) -> str:
+    """Command, seeds, date and code of the runs."""
+    report, seeds = reports[0], [str(one["seed"]) for one in reports]
+    drawn = f"seed {seeds[0]}" if len(seeds) == 1 else f"seeds {', '.join(seeds)}: mean ± half of largest less smallest"
     code = f"commit {report['git']}" if report["git"] else f"code {report['code']}"
-    return f"`{report['command']}`, seed {report['seed']}, {report['date']}, {code}"
+    return f"`{command(report['experiment'])}`, {drawn}; {report['date']}, {code}"
 
 
 def spaced(text: str) -> str:

@@ -58,7 +58,7 @@ def lacking(names: list[str]) -> str:
 def numbers(run: Run) -> str:
     """The paper's numbers beside ours, the segmenters, Tables 3 and 4."""
     mark = SMOKE if run.smoke else ""
-    parts = [f"<p>{escape(origin(run.report).replace('`', ''))}{mark}</p>", named_table(run.report["rows"], BESIDE)]
+    parts = [f"<p>{escape(origin([run.report]).replace('`', ''))}{mark}</p>", named_table(run.report["rows"], BESIDE)]
     parts += ["<h3>Segmenters</h3>", named_table(run.report["segmenters"], HEADS)]
     for script, key in ((tab03, "tab03"), (tab04, "tab04")):
         table = run.report["tables"][key]

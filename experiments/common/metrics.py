@@ -42,12 +42,14 @@ def summary_deg(errors: np.ndarray) -> dict[str, float]:
 
 
 def markdown(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
-    """A table; floats with three decimals, absent values as a dash."""
+    """A table; floats with three decimals (two from 10 on, none from 100 on), absent values as a dash."""
 
     def cell(value: Any) -> str:
         if value is None:
             return "–"
-        return f"{value:.3f}" if isinstance(value, float) else str(value)
+        if not isinstance(value, float):
+            return str(value)
+        return f"{value:.{0 if abs(value) >= 100 else 2 if abs(value) >= 10 else 3}f}"
 
     lines = [head, ["---"] * len(head), *([cell(v) for v in row] for row in rows)]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
