@@ -34,7 +34,6 @@ HEADS = {
     "bin_median": "bin error, median [°]",
     "yaw_median": "refined, median [°]",
     "yaw_p95": "refined, 95 % [°]",
-    "milliseconds": "ms a frame",
 }
 FROM_OFFSETS = ("bin_median", "yaw_median", "yaw_p95")
 BESIDE = {"item": "item", "what": "what", "paper": "paper", "ours": "ours", "note": "note"}
