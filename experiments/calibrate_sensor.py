@@ -146,4 +146,4 @@ def _range(mean: float, least: float, largest: float) -> str:
 
 
 if __name__ == "__main__":
-    launch(run, Settings, table, smoke={"step_deg": 180})
+    launch(run, Settings, table, smoke={"step_deg": 360})

@@ -119,4 +119,4 @@ def table(report: Report) -> str:
 
 
 if __name__ == "__main__":
-    launch(run, Settings, table, smoke={"segmenters": ("none",), "step_deg": 180, "most": 1})
+    launch(run, Settings, table, smoke={"segmenters": ("none",), "step_deg": 360, "most": 1})

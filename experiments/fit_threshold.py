@@ -85,4 +85,4 @@ def table(report: Report) -> str:
 
 
 if __name__ == "__main__":
-    launch(run, Settings, table, smoke={"step_deg": 180, "segmenters": ("none", "otsu")})
+    launch(run, Settings, table, smoke={"step_deg": 360, "segmenters": ("otsu",)})
