@@ -20,9 +20,8 @@ from sonarjax.segment.whole import segment_frame
 
 DISCRIMINATIVE, TILES, TRUTH = "discriminative", "pix2pix-tiles", "truth"
 DISCRIMINATIVE_WEIGHTS = Path(__file__).resolve().parents[1] / "discriminative.safetensors"
-OWN_THRESHOLDS = {TRUTH: 0.837, TILES: 0.854}
-"""Least score of an identified target, from validation frames of experiments/fit_threshold.py; the discriminative
-model's belongs here too once its weights do."""
+OWN_THRESHOLDS = {TRUTH: 0.837, TILES: 0.854, DISCRIMINATIVE: 0.838}
+"""Least score of an identified target, from validation frames of experiments/fit_threshold.py."""
 NAMES = (TRUTH, "pix2pix", TILES, DISCRIMINATIVE, *(name for name in SEGMENTERS if name != "pix2pix"))
 """All that are compared: `truth` is the true map, `pix2pix-tiles` the network without its closer looks."""
 
