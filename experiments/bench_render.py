@@ -8,9 +8,8 @@ gradient and no shares of pixels. Open3D is of the extra `bench`; --no-peer does
 
 from __future__ import annotations
 
-import argparse
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -246,21 +245,6 @@ def table(report: Report) -> str:
         if exponent
     ]
     return "\n".join([markdown(head, rows), "", *grown, f"figure: {report['figure']}"])
-
-
-def parse(settings: Any, description: str | None, arguments: list[str] | None = None) -> Any:
-    """An instance of the dataclass `settings` from the command line: one option for each field."""
-    parser = argparse.ArgumentParser(description=description.splitlines()[0] if description else None)
-    for option in fields(settings):
-        name = "--" + option.name.replace("_", "-")
-        if isinstance(option.default, bool):
-            parser.add_argument(name, action="store_true")
-        elif isinstance(option.default, tuple):
-            parser.add_argument(name, type=type(option.default[0]), nargs="+", default=option.default)
-        else:
-            parser.add_argument(name, type=type(option.default), default=option.default)
-    values = vars(parser.parse_args(arguments))
-    return settings(**{name: tuple(v) if isinstance(v, list) else v for name, v in values.items()})
 
 
 if __name__ == "__main__":
