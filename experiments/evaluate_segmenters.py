@@ -103,14 +103,40 @@ def run(settings: Settings, job: Job) -> Report:
     return {"sets": sets}
 
 
+SUMMARY = {
+    "segmenter": ("severity 1", "segmenter", "segmenter"),
+    "accuracy": ("severity 1", "accuracy", "accuracy"),
+    "hard": ("severity 1.5", "accuracy", "at severity 1.5"),
+    "devices": ("other devices", "accuracy", "other devices"),
+    "mirror": ("mirror image", "identification", "mirror image told apart"),
+    "own": ("severity 1", "score_own", "NCC own"),
+    "other": ("severity 1", "score_other", "NCC other"),
+    "iou": ("severity 1", "iou", "IoU"),
+    "gain": ("severity 1", "psnr_gain", "PSNR gain"),
+    "median": (REFINED, "yaw_median", "yaw median [°]"),
+    "p95": (REFINED, "yaw_p95", "yaw 95 % [°]"),
+}
+"""Columns of the summary: from which set, which number, under which head."""
+
+
+def summary(report: Report) -> str:
+    """One row a segmenter, from all sets, for README; a set that was left out is a dash."""
+    names = [row["segmenter"] for row in next(iter(report["sets"].values()))]
+    found = {(title, row["segmenter"]): row for title, rows in report["sets"].items() for row in rows}
+    rows = [{key: found.get((title, name), {}).get(of) for key, (title, of, _) in SUMMARY.items()} for name in names]
+    return columns(rows, {key: head for key, (_, _, head) in SUMMARY.items()})
+
+
 def table(report: Report) -> str:
-    """The rows as tables for the terminal and for README, and what the columns mean."""
+    """The summary, all rows as a table for each set, and what the columns mean."""
     heads = {title: COLUMNS | (YAW_COLUMNS if title == REFINED else {}) for title in report["sets"]}
     tables = [
         f"{title}\n{columns(rows, {key: head for key, (head, _) in heads[title].items()})}\n"
         for title, rows in report["sets"].items()
     ]
-    return "\n".join([*tables, *(f"{head}: {what}" for head, what in (COLUMNS | YAW_COLUMNS).values())])
+    return "\n".join(
+        [f"{summary(report)}\n", *tables, *(f"{head}: {what}" for head, what in (COLUMNS | YAW_COLUMNS).values())]
+    )
 
 
 if __name__ == "__main__":

@@ -64,32 +64,36 @@ def of_all_seeds(run: Run) -> list[dict[str, Any]]:
 
 
 def mean_and_spread(values: list[float]) -> Any:
-    """Mean ± half of largest less smallest; the number itself where all are the same to what a table shows."""
-    mean, half = sum(values) / len(values), (max(values) - min(values)) / 2
-    if half < 5e-4:
+    """Mean ± the largest deviation from it; the number itself where all are the same to what a table shows."""
+    mean = sum(values) / len(values)
+    most = max(abs(value - mean) for value in values)
+    if most < 5e-4:
         return values[0]
     digits = 2 if abs(mean) >= 10 else 3
-    return f"{mean:.{digits}f} ± {half:.{digits}f}"
+    return f"{mean:.{digits}f} ± {most:.{digits}f}"
 
 
 def own_table(name: str, report: dict[str, Any]) -> str:
-    """What the experiment prints."""
-    return str(importlib.import_module(f"experiments.{name}").table(report))
+    """What the experiment prints; its summary, where it has one."""
+    module = importlib.import_module(f"experiments.{name}")
+    return str(getattr(module, "summary", module.table)(report))
 
 
 def origin(reports: list[dict[str, Any]]) -> str:
     """Command, seeds, date and code of the runs."""
     report, seeds = reports[0], [str(one["seed"]) for one in reports]
-    drawn = f"seed {seeds[0]}" if len(seeds) == 1 else f"seeds {', '.join(seeds)}: mean ± half of largest less smallest"
+    drawn = f"seed {seeds[0]}" if len(seeds) == 1 else f"seeds {', '.join(seeds)}: mean ± largest deviation"
     code = f"commit {report['git']}" if report["git"] else f"code {report['code']}"
     return f"`{command(report['experiment'])}`, {drawn}; {report['date']}, {code}"
 
 
 def spaced(text: str) -> str:
     """Text with an empty line around each table, which Markdown wants, and between its other lines."""
-    kept: list[str] = []
-    for line in filter(None, text.split("\n")):
-        if kept and not (kept[-1].startswith("|") and line.startswith("|")):
+    kept = [""]
+    for line in text.split("\n"):
+        goes_on = line.startswith("|") and kept[-1].startswith("|")
+        if kept[-1] and not goes_on:
             kept.append("")
-        kept.append(line)
-    return "\n".join(kept)
+        if line:
+            kept.append(line)
+    return "\n".join(kept).strip("\n")
