@@ -66,6 +66,8 @@ class Settings:
     """Length of the mesh file's unit [m], such as 0.001 for millimetres; 0: the file's own, else metres."""
     segmenter: Literal["pix2pix", "none", "otsu"] = "pix2pix"
     """What makes the map that is matched."""
+    threshold: float = math.nan
+    """Least score of the target, also of one that is tracked; nan: the segmenter's own."""
     track: bool = False
     """Refine a source's frames from the last one's pose instead of recognizing each anew."""
     track_on: Literal["map", "frame"] = "map"
@@ -123,7 +125,9 @@ def _through(
     unfinished = job.folder / f"{name}-{code_digest()}.jsonl"
     records = taken_up(unfinished)
     known, seen = {record["frame"] for record in records}, set[bool]()
-    finder = Finder(mesh, sonar, settings.segmenter, way)
+    finder = Finder(
+        mesh, sonar, settings.segmenter, way, None if math.isnan(settings.threshold) else settings.threshold
+    )
     last = settings.limit * settings.every or None
     with JsonLines(unfinished) as lines, tqdm(desc=way, unit="frame", initial=len(known)) as bar:
         for number, (label, frame) in islice(enumerate(stream()), 0, last, settings.every):
@@ -168,7 +172,7 @@ def summed_up(arrays: dict[str, np.ndarray]) -> dict[str, Any]:
     return {
         "identified": float(arrays["identified"].mean()),
         "tracked": float(arrays["tracked"].mean()),
-        "frames_per_second": float(1 / warm.mean()) if timed else None,
+        "frames_per_second": float(1 / np.median(warm)) if timed else None,
         "median_ms": float(1e3 * np.median(warm)) if timed else None,
         "p95_ms": float(1e3 * np.percentile(warm, 95)) if timed else None,
         "error_median": float(np.median(error)) if known else None,

@@ -23,7 +23,7 @@ from experiments.common.judge import target
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns, yaw_error_deg
 from experiments.common.runs import Job
-from sonarjax.refine.yaw import BLURS_PX, BOUNDS, SHARPNESS
+from sonarjax.refine.yaw import BLURS_PX, BOUNDS, ITERATIONS, SHARPNESS
 from sonarjax.segment import semantic_map
 
 SHARPNESS_OF = {"labels": SHARPNESS, "pix2pix": 0.0}
@@ -67,7 +67,9 @@ def run(settings: Settings, job: Job) -> Report:
         images = [map_of(name, frame) for frame in frames]
         for blurs in (BLURS_PX, BLURS_PX[1:]) if settings.fine else (BLURS_PX,):
             said = ", ".join(f"{blur:g}" for blur in blurs)
-            one = partial(_ends, off, {"blurs": blurs, "sharpness": SHARPNESS_OF[name]}, settings, job.seed)
+            # As many iterations in all, or a short ladder would also reach less far.
+            how = {"blurs": blurs, "iterations": ITERATIONS * len(BLURS_PX) // len(blurs)}
+            one = partial(_ends, off, how | {"sharpness": SHARPNESS_OF[name]}, settings, job.seed)
             cases = {str(k): (frames[k], images[k], k) for k in range(len(frames))}
             errors = np.array(list(job.map(one, cases, f"{name}, blurs {said}").values()), float)
             ends[f"{name}_{len(blurs)}_blurs_error_deg"] = errors

@@ -33,6 +33,7 @@ from sonarjax.render import Window, place_window
 LINE_STEP_DEG = 0.25  # so that central differences span half a degree, about the longest step of gradient_check
 SHOWN_TILT_DEG = 20.0
 STARTS = np.array([(yaw, x) for yaw in (-30.0, -12.0, 12.0, 30.0) for x in (-0.08, 0.08)])  # off the truth [deg, m]
+CHUNK = 64
 CLEAR = 0.2  # of the RMS: smaller derivatives have no sign to speak of
 HEADS = {
     "derivatives": {
@@ -66,8 +67,8 @@ class Settings:
 
 def run(settings: Settings, job: Job) -> Report:
     """Rows of the derivatives and of the paths' ends; `derivatives.npz` and a `landscape_*.npz` a map."""
-    frames = target_frames(job.seed, 180)
-    shown = next(frame for frame in frames if frame.tilt_deg == SHOWN_TILT_DEG)
+    frames = sorted(target_frames(job.seed, 180), key=lambda frame: frame.tilt_deg != SHOWN_TILT_DEG)
+    shown = frames[0]
     lines = job.map(lambda name: _line(name, frames[: settings.frames], settings), settings.maps, "derivatives")
     rows, arrays = [], {}
     for name, parts in lines.items():
@@ -101,9 +102,11 @@ def losses_at(image: Any, frame: TestFrame, sharpness: float, steps: np.ndarray,
     shape, beams = _window_size(mesh, sonar, at, BOUNDS)  # the window is refine_yaw's own
     row, column, *_ = place_window(shape, mesh, sonar, at.x, at.y, SLACK_M)
     part = jax.lax.dynamic_slice(jnp.asarray(image, jnp.float32), (row, column), shape)
-    steps = jnp.asarray(steps, jnp.float32)
-    found = _losses(part, at, jnp.float32(sharpness), (row, column), mesh, sonar, steps, beams, sub_beams)
-    return [np.asarray(values, float) for values in found]
+    problem = part, at, jnp.float32(sharpness), (row, column), mesh, sonar
+    # In parts of one size, the last filled up: lines and landscapes share compiled code.
+    filled = np.resize(steps, (-(-len(steps) // CHUNK) * CHUNK, 3)).astype(np.float32)
+    found = [_losses(*problem, few, beams, sub_beams) for few in filled.reshape(-1, CHUNK, 3)]
+    return [np.concatenate(values)[: len(steps)].astype(float) for values in zip(*found, strict=True)]
 
 
 @partial(jax.jit, static_argnames=("beams", "sub_beams"))

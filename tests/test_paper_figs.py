@@ -336,13 +336,22 @@ def test_no_run_at_all_is_an_error(tmp_path: Path, capsys: pytest.CaptureFixture
 MARKED = "before\n\n<!-- {0}:begin -->\nof last year\n<!-- {0}:end -->\n\n<!-- {1}:begin -->\n<!-- {1}:end -->\nafter\n"
 
 
+def test_readme_gives_the_mean_of_all_seeds_and_the_largest_deviation() -> None:
+    assert readme.mean_and_spread([0.5, 0.6, 0.8]) == "0.633 ± 0.167"
+    assert readme.mean_and_spread([0.5, 0.5002]) == 0.5
+
+
+def test_tables_keep_an_empty_line_around_them() -> None:
+    assert readme.spaced("a\n| b |\n| c |\n\n| d |\ne") == "a\n\n| b |\n| c |\n\n| d |\n\ne"
+
+
 def test_readme_is_filled_between_its_markers(runs: Path, tmp_path: Path) -> None:
     path = tmp_path / "README.md"
     path.write_text(MARKED.format(*readme.NEEDED), encoding="utf-8")
     readme.update(path, runs)
     text = path.read_text(encoding="utf-8")
     assert text.startswith("before\n") and text.endswith("after\n") and "of last year" not in text
-    assert "| pix2pix |" in text and "seed 0, 2020-02-02, commit 0123456789" in text
+    assert "| pix2pix |" in text and "seed 0; 2020-02-02, commit 0123456789" in text
     assert not re.search(r"^[^|\n].*\n\|", text, re.MULTILINE)  # an empty line before each table
     readme.update(path, runs)
     assert path.read_text(encoding="utf-8") == text

@@ -102,11 +102,14 @@ def seconds_of(meta: dict[str, Any]) -> float | None:
 class Finder:
     """Recognizes frame after frame, and where its way is to track, refines from the last pose instead."""
 
-    def __init__(self, mesh: sj.Mesh, sonar: sj.Sonar, segmenter: str, way: str) -> None:
-        """`way` is one of WAYS. Raises SonarjaxError for another."""
+    def __init__(
+        self, mesh: sj.Mesh, sonar: sj.Sonar, segmenter: str, way: str, threshold: float | None = None
+    ) -> None:
+        """`way` is one of WAYS; `threshold` replaces the segmenter's own. Raises SonarjaxError for another way."""
         if way not in WAYS:
             raise SonarjaxError(f"way: expected one of {', '.join(WAYS)}, got {way!r}")
         self.mesh, self.sonar, self.segmenter, self.way = mesh, sonar, segmenter, way
+        self.threshold = threshold
         self.last: sj.Pose | None = None
 
     def __call__(self, frame: Frame) -> tuple[Recognition, bool]:
@@ -117,7 +120,8 @@ class Finder:
         tracked = None if self.last is None or self.way == WAYS[0] else self._tracked(frame, self.last)
         found = tracked
         if found is None:
-            found = sj.recognize(frame.image, self.mesh, self.sonar, segmenter=self.segmenter, mask=frame.mask)
+            how: dict[str, Any] = {"segmenter": self.segmenter, "mask": frame.mask, "threshold": self.threshold}
+            found = sj.recognize(frame.image, self.mesh, self.sonar, **how)
         self.last = sj.Pose(found.x, found.y, found.yaw) if found.identified else None
         return found, tracked is not None
 
@@ -127,8 +131,8 @@ class Finder:
         semantic = semantic_map(frame.image, on, frame.mask)
         refine = partial(sj.refine_yaw, mesh=self.mesh, sonar=self.sonar, mask=frame.mask)
         estimate = refine(semantic, start=last, **REFINEMENT)
-        score = float(estimate.score)
-        if not score >= THRESHOLDS[on]:  # nor when it is NaN
+        score, limit = float(estimate.score), THRESHOLDS[on] if self.threshold is None else self.threshold
+        if not score >= limit:  # nor when it is NaN
             return None
         if on in REFINED_AGAIN:
             estimate = refine(frame.image, start=estimate.pose, **REFINED_AGAIN[on])
@@ -136,7 +140,7 @@ class Finder:
             float(v) for v in (estimate.yaw, estimate.yaw_std, estimate.x, estimate.y, estimate.score)
         )
         return Recognition(
-            identified=True, score=score, score_bank=math.nan, score_refined=refined, threshold=THRESHOLDS[on],
+            identified=True, score=score, score_bank=math.nan, score_refined=refined, threshold=limit,
             yaw_bin=math.nan, yaw=yaw, yaw_std=std, x=x, y=y, scores_by_yaw=np.empty(0),
             hypotheses=(Hypothesis(yaw, refined, std),), segmenter=on, semantic=np.asarray(semantic),
         )  # fmt: skip
