@@ -159,8 +159,15 @@ def circumstances() -> dict[str, Any]:
         "code": code_digest(),
         "device": jax.devices()[0].device_kind,
         "date": time.strftime("%Y-%m-%d"),
-        "command": " ".join(["python -m", getattr(sys.modules["__main__"].__spec__, "name", "?"), *sys.argv[1:]]),
+        "command": _command(sys.argv[1:]),
     }
+
+
+def _command(arguments: list[str]) -> str:
+    """What was typed, but for the folder of the results: it says nothing of them and everything of a machine."""
+    at = arguments.index("--runs") if "--runs" in arguments else len(arguments)
+    name = getattr(sys.modules["__main__"].__spec__, "name", "?")
+    return " ".join(["python -m", name, *arguments[:at], *arguments[at + 2 :]])
 
 
 def git_hash() -> str | None:
