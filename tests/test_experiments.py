@@ -305,3 +305,9 @@ def test_a_mirrored_mesh_is_closed_and_another_object():
     assert volume(ours) > 0  # faces look outwards
     np.testing.assert_allclose(volume(theirs), volume(ours), rtol=1e-5)
     np.testing.assert_allclose(theirs[..., 1].max(), -ours[..., 1].min(), atol=1e-6)
+
+
+def test_the_command_that_is_kept_leaves_the_folder_of_results_out() -> None:
+    kept = runs._command(["--seeds", "0", "1", "--runs", "/somewhere", "--step-deg", "30"])
+    assert kept.endswith("--seeds 0 1 --step-deg 30") and "somewhere" not in kept
+    assert runs._command(["--preset", "smoke"]).endswith("--preset smoke")
