@@ -37,12 +37,15 @@ def score(grey: np.ndarray, pairs: Stored) -> dict[str, float]:
     """Metrics of predicted maps `grey` (pair, 128, 128) by name.
 
     `iou_*` of their labels over all pixels of all pairs; `psnr_db`, `psnr_raw_db` and `psnr_gain_db` are means over
-    pairs, of the map and of the raw image against the true semantic map.
+    the pairs that show an object (an empty map, rightly predicted, has no error at all; all pairs where none does),
+    of the map and of the raw image against the true semantic map.
     """
     shares = np.asarray(iou(confusion(jnp.asarray(from_grey(grey)), jnp.asarray(pairs.labels))), float)
-    truth = jnp.asarray(to_grey(pairs.labels))
-    made = float(psnr(jnp.asarray(grey), truth).mean())
-    raw = float(psnr(jnp.asarray(pairs.image / np.float32(255)), truth).mean())
+    shown = pairs.labels.any(axis=(1, 2))
+    shown |= not shown.any()
+    truth = jnp.asarray(to_grey(pairs.labels[shown]))
+    made = float(psnr(jnp.asarray(grey[shown]), truth).mean())
+    raw = float(psnr(jnp.asarray(pairs.image[shown] / np.float32(255)), truth).mean())
     return {
         "iou_background": float(shares[0]),
         "iou_highlight": float(shares[1]),
