@@ -2,8 +2,9 @@
 
 python -m experiments.fit_refinement [--preset smoke] [--help]
 
-Refined is on the segmenter's map, on the frame itself, or on the map and then on the frame: one row a setting and
-segmenter, best first; what stands in `sonarjax.recognize.REFINEMENT` is marked. Test and real frames play no part.
+Refined is on the segmenter's map, on the frame itself, or on the map and then on the frame, to which the semantic image
+or the echo is fitted: one row a setting and segmenter, best first; what stands in `sonarjax.recognize` is marked. Test
+and real frames play no part.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ HEADS = {
     "median": "median [°]",
     "p95": "95 % [°]",
     "on": "on",
+    "template": "template",
     "blurs": "blurs",
     "sharpness": "sharpness",
     "margin": "margin",
@@ -62,15 +64,23 @@ class Way(NamedTuple):
 
     on: str
     """`map`, `frame`, or `both`: the map first, as `REFINEMENT` has it, then the frame."""
+    template: str
     blurs: tuple[float, ...]
     sharpness: float
     margin: tuple[int, int] | None
 
-    def is_used(self, segmenter: str) -> bool:
+    def is_used(self) -> bool:
         """Whether `recognize` does so."""
-        on = "frame" if segmenter == "none" else "both" if segmenter in REFINED_AGAIN else "map"
-        used = REFINED_AGAIN.get(segmenter, REFINEMENT)
-        return self.on == on and self._asdict().items() >= {name: used[name] for name in self._fields[1:]}.items()
+        return self.on == "both" and all(REFINED_AGAIN[name] == getattr(self, name) for name in self._fields[1:])
+
+
+def ways(most: int) -> list[Way]:
+    """What is compared, `most` settings for each image and template; 0 for all. Only `semantic` has a sharpness."""
+    settings = list(itertools.product(BLURS, SHARPNESSES, MARGINS))[: most or None]
+    plain = [setting for setting in settings if setting[1] == 0.0]
+    chosen = {("map", "semantic"): settings, ("frame", "semantic"): settings, ("both", "semantic"): settings}
+    chosen |= {("frame", "echo"): plain, ("both", "echo"): plain}
+    return [Way(*what, *setting) for what, all_of_it in chosen.items() for setting in all_of_it]
 
 
 def run(settings: Settings, job: Job) -> Report:
@@ -85,7 +95,7 @@ def run(settings: Settings, job: Job) -> Report:
 
 def _measure(frames: list[TestFrame], most: int, segmenter: str) -> list[dict[str, Any]]:
     rows = [
-        {"segmenter": segmenter} | summary_deg(found) | way._asdict() | {"used": way.is_used(segmenter)}
+        {"segmenter": segmenter} | summary_deg(found) | way._asdict() | {"used": way.is_used()}
         for way, found in errors(frames, segmenter, most).items()
     ]
     return sorted(rows, key=lambda row: row["p95"])
@@ -93,22 +103,19 @@ def _measure(frames: list[TestFrame], most: int, segmenter: str) -> list[dict[st
 
 def errors(frames: list[TestFrame], segmenter: str, most: int) -> dict[Way, np.ndarray]:
     """Yaw errors (frame,) [deg] of each way, from where `recognize` starts refining; 0 for `most` is all ways."""
-    settings = list(itertools.product(BLURS, SHARPNESSES, MARGINS))[: most or None]
     mesh = sj.objects.target()
     found: dict[Way, list[float]] = defaultdict(list)
     for frame in tqdm(frames, desc=segmenter, unit="frame", leave=False):
         sonar, semantic = sonar_for(frame.tilt_deg), map_of(segmenter, frame)
         start = sj.recognize(semantic, mesh, sonar, segmenter="none", refine=False)
         pose = sj.Pose(start.x, start.y, start.yaw)
-        first = sj.refine_yaw(semantic, mesh, sonar, pose, **REFINEMENT).pose
-        for setting in settings:
-            changed = REFINEMENT | dict(zip(Way._fields[1:], setting, strict=True))
-            estimates = {"frame": sj.refine_yaw(frame.image, mesh, sonar, pose, **changed)}
-            if segmenter != "none":
-                estimates["map"] = sj.refine_yaw(semantic, mesh, sonar, pose, **changed)
-                estimates["both"] = sj.refine_yaw(frame.image, mesh, sonar, first, **changed)
-            for on, estimate in estimates.items():
-                found[Way(on, *setting)].append(float(yaw_error_deg(estimate.yaw, frame.yaw)))
+        begun = {"map": (semantic, pose), "frame": (frame.image, pose)}
+        begun["both"] = frame.image, sj.refine_yaw(semantic, mesh, sonar, pose, **REFINEMENT).pose
+        for way in ways(most):
+            image, at = begun[way.on]
+            changed = REFINEMENT | {name: getattr(way, name) for name in way._fields[1:]}
+            estimate = sj.refine_yaw(image, mesh, sonar, at, **changed)
+            found[way].append(float(yaw_error_deg(estimate.yaw, frame.yaw)))
     return {way: np.array(values) for way, values in found.items()}
 
 

@@ -92,7 +92,7 @@ def run(settings: Settings, job: Job) -> Report:
 def loss(problem: Problem, blur: Blur, drawn: jax.Array) -> jax.Array:
     """What the solver minimises for a template (range, beam): 1 − NCC of the blurred images."""
     weight = problem.weight[::ROW_STRIDE]
-    seen, fitted = (normalised(blur(v * problem.weight), weight) for v in (problem.image, drawn - 0.5))
+    seen, fitted = (normalised(blur(v * problem.weight), weight) for v in (problem.image, drawn))
     return 1 - (seen * fitted).sum()
 
 
@@ -117,7 +117,7 @@ def _losses(
     blurs = [make_blur(part.shape, sigma) for sigma in BLURS_PX]
 
     def one(step: jax.Array) -> tuple[jax.Array, ...]:
-        drawn, slope = draw_with_slope(problem, mesh, sonar, step, sub_beams)
+        drawn, slope = draw_with_slope(problem, mesh, sonar, step, sub_beams, "semantic")
         pairs = [jax.jvp(partial(loss, problem, blur), (drawn,), (slope[0],)) for blur in blurs]
         return tuple(jnp.stack(v) for v in zip(*pairs, strict=True))
 

@@ -36,9 +36,9 @@ REFINEMENT: dict[str, Any] = {
     "sharpness": 0.0,
 }
 """How `recognize` calls `refine_yaw`."""
-REFINED_AGAIN: dict[str, dict[str, Any]] = {"pix2pix": REFINEMENT | {"blurs": (1.0, 0.5)}}
-"""Segmenters after which refining goes on with the frame itself, and how: a network's map is sure of what is where, but
-its edges are blunt (on validation frames a median of 0.64° instead of 0.9°, see experiments/fit_refinement.py)."""
+REFINED_AGAIN: dict[str, Any] = REFINEMENT | {"blurs": (1.0, 0.5), "template": "echo"}
+"""How it then goes on with the frame itself: a map says what is where, but its edges are blunt, and all of an object is
+equally bright in it (on validation frames a median of 0.4° instead of 0.9°, see experiments/fit_refinement.py)."""
 SAME_YAW = math.radians(8.0)  # refined hypotheses closer than this are one
 THRESHOLDS = {
     "pix2pix": 0.822,
@@ -275,8 +275,7 @@ def recognize(
         turned = starts + np.array(between) * (2 * math.pi / len(scores))
         pose = Pose(np.full(HYPOTHESES, x), np.full(HYPOTHESES, y), turned)
         estimate = refine_yaw(semantic, mesh, sonar, pose, mask=mask, **REFINEMENT | {"bounds": _bounds(yaw_bins)})
-        if segmenter in REFINED_AGAIN:
-            estimate = refine_yaw(image, mesh, sonar, estimate.pose, mask=mask, **REFINED_AGAIN[segmenter])
+        estimate = refine_yaw(image, mesh, sonar, estimate.pose, mask=mask, **REFINED_AGAIN)
         hypotheses = _hypotheses(*(np.asarray(v) for v in (estimate.yaw, estimate.score, estimate.yaw_std)))
         x, y = _place_of_best(estimate)
     limit = THRESHOLDS[segmenter] if threshold is None else float(threshold)

@@ -134,8 +134,7 @@ class Finder:
         score, limit = float(estimate.score), THRESHOLDS[on] if self.threshold is None else self.threshold
         if not score >= limit:  # nor when it is NaN
             return None
-        if on in REFINED_AGAIN:
-            estimate = refine(frame.image, start=estimate.pose, **REFINED_AGAIN[on])
+        estimate = refine(frame.image, start=estimate.pose, **REFINED_AGAIN)
         yaw, std, x, y, refined = (
             float(v) for v in (estimate.yaw, estimate.yaw_std, estimate.x, estimate.y, estimate.score)
         )

@@ -1,25 +1,32 @@
 """What refinement minimises: 1 − NCC between the rendered window and the image, as least-squares residuals.
 
 With both images blurred, freed of their mean and scaled to unit norm, the sum of squared differences is 2·(1 − NCC):
-eq. 4 becomes a least-squares problem, and any grey image will do.
+eq. 4 becomes a least-squares problem, and any grey image will do. What is rendered is the semantic image that the
+paper matches, or the echo itself as a device would store it, whose facets are not all equally bright.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from sonarjax.render import Window, render_window, semantic_image
+from sonarjax.render import Window, render_echo, render_window, semantic_image
 from sonarjax.scene import Mesh, Pose
+from sonarjax.sensor import SensorModel
 from sonarjax.sonar import Sonar
 
 SMALL = 1e-9
 ELEVATIONS = 64
 BEAMS_PER_BIN = 0.4  # a beam is about 2.5 bins wide at the ranges of §4.1: the blur is round on the floor
 ROW_STRIDE = 2  # every second row of a blurred image holds all of it
+Template = Literal["semantic", "echo"]
+"""What is fitted to the image: the semantic image, or the echo as a device would store it."""
+BACKGROUND = 0.5  # of the semantic image
+NOMINAL = SensorModel.nominal()  # how bright an echo is beside floor and shadow, and how it is stored
+OBJECT_GAIN = 10 ** (NOMINAL.object_gain / 10)
 
 
 class Problem(NamedTuple):
@@ -77,16 +84,32 @@ def labelled(share: Float[Array, "*batch"], sharpness: Float[Array, ""]) -> Floa
     return jnp.where(sharpness > 0, rescaled, share)
 
 
+def draw(
+    problem: Problem, mesh: Mesh, sonar: Sonar, step: Float[Array, "3"], sub_beams: int, template: Template
+) -> Float[Array, "range beam"]:
+    """The window's template at `step` from the start, as what it differs from the bare floor's grey value."""
+    view = (mesh, pose_at(problem.start, step), sonar, problem.window, sub_beams, ELEVATIONS)
+    if template == "echo":
+        echo, shadow = render_echo(*view)
+        return _stored(OBJECT_GAIN * echo + 1 - shadow) - _stored(1.0)
+    layers = render_window(*view)
+    return semantic_image(*(labelled(v, problem.sharpness) for v in (layers.highlight, layers.shadow))) - BACKGROUND
+
+
+def _stored(energy: Any) -> Any:
+    """Grey value of `energy`, in units of the bare floor's, at the nominal device."""
+    return (energy + NOMINAL.noise) ** NOMINAL.exponent
+
+
 def draw_with_slope(
-    problem: Problem, mesh: Mesh, sonar: Sonar, step: Float[Array, "3"], sub_beams: int
+    problem: Problem, mesh: Mesh, sonar: Sonar, step: Float[Array, "3"], sub_beams: int, template: Template
 ) -> tuple[Float[Array, "range beam"], Float[Array, "3 range beam"]]:
-    """The window's semantic image at `step` from the start, and its derivatives by yaw, x and y (forward mode)."""
+    """`draw` and its derivatives by yaw, x and y (forward mode)."""
 
-    def draw(step: Array) -> Array:
-        layers = render_window(mesh, pose_at(problem.start, step), sonar, problem.window, sub_beams, ELEVATIONS)
-        return semantic_image(*(labelled(v, problem.sharpness) for v in (layers.highlight, layers.shadow)))
+    def draw_at(step: Array) -> Array:
+        return draw(problem, mesh, sonar, step, sub_beams, template)
 
-    return jax.vmap(lambda along: jax.jvp(draw, (step,), (along,)), out_axes=(None, 0))(jnp.eye(3))
+    return jax.vmap(lambda along: jax.jvp(draw_at, (step,), (along,)), out_axes=(None, 0))(jnp.eye(3))
 
 
 def normalised(image: Float[Array, "range beam"], weight: Float[Array, "range beam"]) -> Float[Array, "range beam"]:
@@ -108,8 +131,8 @@ def crop_score(
 
 
 def box_around(drawn: Float[Array, "range beam"], margin: tuple[int, int]) -> Bool[Array, "range beam"]:
-    """True (range, beam) in the box of what a template shows, with a `margin` (bins, beams) around it."""
-    touched = jnp.abs(drawn - 0.5) > 0.01
+    """True (range, beam) in the box of what a template of `draw` shows, with a `margin` (bins, beams) around it."""
+    touched = jnp.abs(drawn) > 0.01
     return _extent(touched.any(axis=1), margin[0])[:, None] & _extent(touched.any(axis=0), margin[1])
 
 

@@ -14,7 +14,7 @@ from jax.lax import stop_gradient
 from jaxopt import LevenbergMarquardt
 from jaxtyping import Array, Float
 
-from sonarjax.refine.objective import ROW_STRIDE, Blur, Problem, draw_with_slope, make_blur, normalised
+from sonarjax.refine.objective import ROW_STRIDE, Blur, Problem, Template, draw_with_slope, make_blur, normalised
 from sonarjax.scene import Mesh
 from sonarjax.sonar import Sonar
 
@@ -30,7 +30,7 @@ class Found(NamedTuple):
     step: Float[Array, "3"]
     """Yaw [rad], x [m] and y [m] from the start."""
     template: Float[Array, "range beam"]
-    """The window's semantic image there."""
+    """What is rendered there, see `draw`."""
     slope: Float[Array, "3 range beam"]
     """Its derivatives by yaw, x and y."""
     remaining: Float[Array, "3"]
@@ -39,7 +39,7 @@ class Found(NamedTuple):
 
 def coarse_to_fine(
     problem: Problem, mesh: Mesh, sonar: Sonar, bounds: Float[Array, "3"],
-    blurs: tuple[float, ...], iterations: int, sub_beams: int,
+    blurs: tuple[float, ...], iterations: int, sub_beams: int, template: Template,
 ) -> Found:  # fmt: skip
     """Minimise 1 − NCC for each blur [range bins] in turn, `iterations` times each, within `bounds` [rad, m, m]."""
     shape = (problem.image.shape[0], problem.image.shape[1])
@@ -52,14 +52,14 @@ def coarse_to_fine(
     def iterate(carry: tuple[Array, Found], level: Array) -> tuple[tuple[Array, Found], None]:
         step, best = carry
         blur = jax.tree.map(lambda v: v[level], ladder)
-        drawn, slope = draw_with_slope(problem, mesh, sonar, step, sub_beams)
+        drawn, slope = draw_with_slope(problem, mesh, sonar, step, sub_beams, template)
         move, cost = _linear_step(problem, blur, drawn, slope)
         here = Found(cost, step, drawn, slope, move / jnp.asarray(TRUST))
         better = (level == len(blurs) - 1) & (cost < best.cost)
         best = jax.tree.map(lambda new, old: jnp.where(better, new, old), here, best)
         return (jnp.clip(step + move, -bounds, bounds), best), None
 
-    none = Found(jnp.asarray(jnp.inf), jnp.zeros(3), jnp.full(shape, 0.5), jnp.zeros((3, *shape)), jnp.ones(3))
+    none = Found(jnp.asarray(jnp.inf), jnp.zeros(3), jnp.zeros(shape), jnp.zeros((3, *shape)), jnp.ones(3))
     (_, best), _ = jax.lax.scan(iterate, (jnp.zeros(3), none), level)
     return best
 
@@ -69,7 +69,7 @@ def _linear_step(problem: Problem, blur: Blur, drawn: Array, slope: Array) -> tu
     weight = problem.weight[::ROW_STRIDE]
     seen = normalised(blur(problem.image * problem.weight), weight)
     trust = jnp.asarray(TRUST)
-    centred = jnp.concatenate([(drawn - 0.5)[None], slope * trust[:, None, None]]) * problem.weight
+    centred = jnp.concatenate([drawn[None], slope * trust[:, None, None]]) * problem.weight
     now, *change = blur(stop_gradient(centred))
 
     def residuals(parameters: Float[Array, "3"]) -> Float[Array, "pixel"]:

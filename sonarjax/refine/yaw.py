@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, get_args
 
 import jax
 import jax.numpy as jnp
@@ -13,9 +13,9 @@ from jaxtyping import Array, Bool, Float
 
 from sonarjax._cores import SINGLE_CORE, on_all_cores
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.refine.objective import ELEVATIONS, Problem, box_around, crop_score, normalised, pose_at
+from sonarjax.refine.objective import Problem, Template, box_around, crop_score, draw, normalised, pose_at
 from sonarjax.refine.solver import Found, coarse_to_fine
-from sonarjax.render import Window, object_columns, place_window, semantic_window, window_shape
+from sonarjax.render import Window, object_columns, place_window, window_shape
 from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS
 from sonarjax.scene import Mesh, Pose
 from sonarjax.sonar import Sonar
@@ -71,6 +71,7 @@ def refine_yaw(
     sub_beams: int = SUB_BEAMS,
     sharpness: float = SHARPNESS,
     margin: tuple[int, int] | None = None,
+    template: Template = "semantic",
 ) -> YawEstimate:
     """Refine yaw, x and y of the object from `start` by Levenberg–Marquardt on 1 − NCC of the rendered template.
 
@@ -80,10 +81,14 @@ def refine_yaw(
     measured. `bounds` are the largest changes of yaw [rad], x and y [m]. `sharpness` is for images of labels, where a
     pixel is of one class or another; 0 fits a grey image, which mixes them. With a `margin` (bins, beams) only the box
     of the start's template and so much around it counts: for a grey image, whose floor is no even background, and a
-    start that is good already.
+    start that is good already. The `template` is the semantic image, or the `echo` for a frame as the device stored
+    it: shadow, floor, and each facet as bright as the elevation that its echo gathers makes it (`sharpness` plays no
+    part then).
 
-    Raises SonarjaxError when the shapes do not fit the sonar.
+    Raises SonarjaxError when the shapes do not fit the sonar, or for an unknown template.
     """
+    if template not in get_args(Template):
+        raise SonarjaxError(f"template: expected one of {', '.join(get_args(Template))}, got {template!r}")
     image = jnp.asarray(image, jnp.float32)
     if image.ndim not in (2, 3) or image.shape[-2:] != sonar.shape:
         raise SonarjaxError(f"image: expected shape {sonar.shape} (range, beam) of the sonar, got {image.shape}")
@@ -107,8 +112,9 @@ def refine_yaw(
 
     def part(jobs: tuple[Array, Pose]) -> YawEstimate:
         return refine(
-            images, weights, mesh, sonar, jobs, limits, sharp, shape, beams, tuple(blurs), iterations, sub_beams, margin
-        )
+            images, weights, mesh, sonar, jobs, limits, sharp,
+            shape, beams, tuple(blurs), iterations, sub_beams, margin, template,
+        )  # fmt: skip
 
     found = on_all_cores(part, (which, starts))
     return jax.tree.map(lambda v: v.reshape(axes), found)
@@ -130,7 +136,7 @@ def _window_size(mesh: Mesh, sonar: Sonar, start: Pose, bounds: tuple[float, ...
 def _refine(
     images: Array, weights: Array, mesh: Mesh, sonar: Sonar, jobs: tuple[Array, Pose], bounds: Array, sharpness: Array,
     shape: tuple[int, int], beams: int, blurs: tuple[float, ...], iterations: int, sub_beams: int,
-    margin: tuple[int, int] | None,
+    margin: tuple[int, int] | None, template: Template,
 ) -> YawEstimate:  # fmt: skip
     def one(job: tuple[Array, Pose]) -> YawEstimate:
         frame, start = job
@@ -138,10 +144,12 @@ def _refine(
         corner = (frame, window.row, window.column)
         part, measured = (jax.lax.dynamic_slice(v, corner, (1, *shape))[0] for v in (images, weights))
         inner = Window(window.row, window.column, shape, beams)
-        if margin is not None:
-            measured = measured * box_around(semantic_window(mesh, start, sonar, inner, sub_beams, ELEVATIONS), margin)
         problem = Problem(part, measured, start, inner, sharpness)
-        return _estimate(problem, coarse_to_fine(problem, mesh, sonar, bounds, blurs, iterations, sub_beams), bounds)
+        if margin is not None:
+            drawn = draw(problem, mesh, sonar, jnp.zeros(3), sub_beams, template)
+            problem = problem._replace(weight=measured * box_around(drawn, margin))
+        found = coarse_to_fine(problem, mesh, sonar, bounds, blurs, iterations, sub_beams, template)
+        return _estimate(problem, found, bounds)
 
     # One after another on a CPU, where a batch would only spill the caches; side by side on an accelerator.
     side_by_side = None if jax.default_backend() == "cpu" else len(jobs[0])
@@ -150,7 +158,7 @@ def _refine(
 
 _refine_compiled = jax.jit(
     _refine,
-    static_argnames=("shape", "beams", "blurs", "iterations", "sub_beams", "margin"),
+    static_argnames=("shape", "beams", "blurs", "iterations", "sub_beams", "margin", "template"),
     compiler_options=SINGLE_CORE,
 )
 

@@ -138,6 +138,13 @@ def _floor_span(a: Array, b: Array, scene: Scene) -> tuple[Array, Array]:
     return low, high
 
 
+def floor_angle(distance: Float[Array, "*batch"], sonar: Sonar) -> Float[Array, "*batch"]:
+    """Elevation [rad] that one range bin of bare floor fills at slant range `distance` [m]; finite anywhere."""
+    height = jnp.asarray(sonar.height, jnp.float32)
+    aside = jnp.sqrt(jnp.maximum(distance**2 - height**2, (0.1 * height) ** 2))
+    return sonar.range_bin * height / (jnp.maximum(distance, height) * aside)
+
+
 def floor_lit(azimuth: Float[Array, "beam"], scene: Scene, edges: Float[Array, "edge"]) -> Array:
     """Pixels (range, beam) whose middle sees the floor inside the aperture; range `edges` (edge,) [m]."""
     low, high = _floor_span(*floor_line(azimuth, scene.view), scene)

@@ -16,9 +16,27 @@ def covered(
     move from there to its edges; `present` says which items count. Exact for one interval whose ends move linearly
     across the slab: the mean of the clipped overlap over the sweep.
     """
+    shares = jnp.where(present[..., None], _overlap(middle, half, rows), 0.0)
+    return jnp.clip(jnp.diff(shares.sum(axis=1), axis=-1), 0.0, 1.0)
+
+
+def spread(
+    middle: Float[Array, "slab 2 item"], half: Float[Array, "slab 2 item"], weight: Float[Array, "slab item"], rows: int
+) -> Float[Array, "slab range"]:
+    """Sum (slab, `rows`) of `weight` times the share of each range bin that an item's interval covers, see `covered`.
+
+    An item of weight zero does not count, whatever its ends are.
+    """
+    shares = jnp.where(weight[..., None] != 0, weight[..., None] * _overlap(middle, half, rows), 0.0)
+    return jnp.diff(shares.sum(axis=1), axis=-1)
+
+
+def _overlap(
+    middle: Float[Array, "slab 2 item"], half: Float[Array, "slab 2 item"], rows: int
+) -> Float[Array, "slab item edge"]:
+    """How much of each interval lies below each edge of the `rows` range bins [bins]."""
     edges = jnp.arange(rows + 1, dtype=jnp.float32)
-    ramps = ramp(middle[:, 0], half[:, 0], edges) - ramp(middle[:, 1], half[:, 1], edges)
-    return jnp.clip(jnp.diff(jnp.where(present[..., None], ramps, 0.0).sum(axis=1), axis=-1), 0.0, 1.0)
+    return ramp(middle[:, 0], half[:, 0], edges) - ramp(middle[:, 1], half[:, 1], edges)
 
 
 @jax.custom_jvp

@@ -63,6 +63,8 @@ class Outline(NamedTuple):
     """Which runs exist."""
     stretches: Bool[Array, "slab stretch"]
     """Which stretches exist."""
+    angle: Float[Array, "slab run"]
+    """Elevation [rad] that each run fills, without a gradient: its share of the energy sent out."""
 
     @property
     def on_object(self) -> Bool[Array, "end"]:
@@ -70,12 +72,13 @@ class Outline(NamedTuple):
         return jnp.arange(self.ends.tau.shape[1]) < 2 * self.runs.shape[1]
 
 
-def max_items(crossings: int) -> tuple[int, int]:
+def max_items(crossings: int, by_facet: bool = False) -> tuple[int, int]:
     """How many runs, and how many stretches, a slice keeps; further ones are joined to the last.
 
-    A run shows at least a triangle or two, a body that stands alone more.
+    A run shows at least a triangle or two, a body that stands alone more; `by_facet` one is enough.
     """
-    return max(2, min(crossings // 3, MOST_ITEMS)), max(2, min(crossings // 4, MOST_ITEMS))
+    runs = crossings if by_facet else crossings // 3
+    return max(2, min(runs, MOST_ITEMS)), max(2, min(crossings // 4, MOST_ITEMS))
 
 
 def piece_range(line: Float[Array, "*#batch 2"], tau: Float[Array, "*#batch"]) -> Float[Array, "*batch"]:
@@ -91,8 +94,11 @@ def find_outline(
     lit: Bool[Array, "slab piece"],
     items: tuple[int, int],
     sampled: bool,
+    by_facet: bool = False,
 ) -> Outline:
     """Chains of visible pieces; `table` holds the candidates' triangle ids, `lit` the pieces that give highlight.
+
+    Runs also end where the surface bends sharply if they are `by_facet`: each then is about equally bright.
 
     Between neighbouring pieces of a `sampled` profile others were passed over: a step in range that the two pieces'
     own slopes explain is then no gap.
@@ -103,7 +109,12 @@ def find_outline(
     slope = jnp.abs(end - start) if sampled else jnp.zeros_like(start)
     same_range = jnp.abs(_previous(end) - start) < GAP * start + jnp.maximum(slope, _previous(slope))
     shown = solid & lit
-    run = _chain(shown, shown & ~(_previous(shown) & same_range), items[0])
+    goes_on = _previous(shown) & same_range
+    if by_facet:
+        normal = line / jnp.sqrt((line**2).sum(-1, keepdims=True) + 1e-24)  # of the surface as cut by the slice
+        before = jnp.pad(normal[:, :-1], ((0, 0), (1, 0), (0, 0)))
+        goes_on &= (normal * before).sum(-1) > SMOOTH_COSINE
+    run = _chain(shown, shown & ~goes_on, items[0])
     stretch = _chain(solid, solid & ~_previous(solid), items[1])
     foot_tau = line[..., 1] / jnp.maximum(line[..., 0], 1e-9)
     foot = (foot_tau > pieces.tau[..., 0]) & (foot_tau < pieces.tau[..., 1])
@@ -130,6 +141,7 @@ def find_outline(
         ),
         runs,
         stretches,
+        jnp.where(run, jnp.diff(jnp.arctan(pieces.tau), axis=-1), 0.0).sum(axis=1),
     )
 
 

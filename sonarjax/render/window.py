@@ -14,9 +14,9 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
 from sonarjax.render.candidates import candidates, front_faces
-from sonarjax.render.energy import floor_energy, floor_lit, object_energy
+from sonarjax.render.energy import floor_angle, floor_energy, floor_lit, object_energy
 from sonarjax.render.envelope import Pieces, is_sampled, visible_pieces
-from sonarjax.render.footprint import covered
+from sonarjax.render.footprint import covered, spread
 from sonarjax.render.patch import patch_lit, patch_span
 from sonarjax.render.profile import (
     Outline,
@@ -81,7 +81,9 @@ def in_sonar_frame(mesh: Mesh, pose: Pose, sonar: Sonar) -> Scene:
     return Scene((pose.to_ground(mesh.vertices) - head) @ rotation, mesh.faces, view)
 
 
-def find_visible(mesh: Mesh, scene: Scene, slabs: Slabs, sonar: Sonar, elevations: int) -> Visible:
+def find_visible(
+    mesh: Mesh, scene: Scene, slabs: Slabs, sonar: Sonar, elevations: int, by_facet: bool = False
+) -> Visible:
     """The visible profile in the middle of each slab (all of it without a gradient)."""
     fixed = stop_gradient(scene)
     azimuth = stop_gradient(slabs.middle)
@@ -99,7 +101,8 @@ def find_visible(mesh: Mesh, scene: Scene, slabs: Slabs, sonar: Sonar, elevation
         if sonar.highlight_max_incidence < 90.0:
             cosine = incidence_cosine(pieces, segments, corners_of(fixed, table), azimuth)
             lit = lit_pieces(cosine, sonar.highlight_max_incidence)
-        return find_outline(pieces, segments, table, lit, max_items(mesh.crossings), is_sampled(segments))
+        items = max_items(mesh.crossings, by_facet)
+        return find_outline(pieces, segments, table, lit, items, is_sampled(segments), by_facet)
 
     segments = computed_once(cut_slabs, azimuth, table)
     pieces = visible_pieces(segments, mesh.crossing, elevations)
@@ -109,25 +112,53 @@ def find_visible(mesh: Mesh, scene: Scene, slabs: Slabs, sonar: Sonar, elevation
 
 def render_window(mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, sub_beams: int, elevations: int) -> Layers:
     """Render one window of the image; layers that are not used cost nothing under `jax.jit`."""
-    scene = in_sonar_frame(mesh, pose, sonar)
     rows, columns = window.shape
-    azimuth_edges = _columns(jnp.asarray(sonar.azimuth_edges), window.column, columns + 1)
-    azimuth = _columns(jnp.asarray(sonar.azimuth), window.column, columns)
-    events = event_azimuths(scene.vertices, mesh.crease)
-    slabs = make_slabs(azimuth_edges, events, sub_beams, window.object_columns)
+    scene = in_sonar_frame(mesh, pose, sonar)
+    slabs = _slabs_of(mesh, scene, sonar, window, sub_beams)
     visible = find_visible(mesh, scene, slabs, sonar, elevations)
-    edges = sonar.range_min + sonar.range_bin * (window.row + jnp.arange(rows + 1, dtype=jnp.float32))
-    middle, half = _swept_ends(visible.outline, slabs, scene, sonar, edges)
-    n_object = 2 * visible.outline.runs.shape[1]  # the first ends lie on the object, the others on the floor
-    highlight = _highlight(visible.outline, middle[:, :n_object], half[:, :n_object], slabs, sonar, rows)
-    hidden = covered(_pairs(middle[:, n_object:]), _pairs(half[:, n_object:]), visible.outline.stretches, rows)
-    shadow = _per_beam(slabs, hidden)
+    edges, azimuth = _edges_of(sonar, window), _columns(jnp.asarray(sonar.azimuth), window.column, columns)
+    runs, stretches = _swept_ends(visible.outline, slabs, scene, sonar, edges)
+    highlight = _per_beam(slabs, covered(*_pulsed(*runs, sonar), visible.outline.runs, rows))
+    shadow = _per_beam(slabs, covered(*stretches, visible.outline.stretches, rows))
     ends = all_ends(visible.pieces, visible.segments, visible.table)
     echo = _per_beam(slabs, object_energy(ends, slabs, scene, sonar, elevations, edges))
     floor = patch_lit(azimuth, scene, sonar, edges)
     bare = floor_energy(azimuth, scene, sonar, edges) * floor
     lit = (floor_lit(azimuth, scene, edges) & floor) | (highlight > 0.5)
     return Layers(jnp.maximum(echo, 0.0) + bare * (1 - shadow), highlight, shadow, lit)
+
+
+def render_echo(
+    mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, sub_beams: int, elevations: int
+) -> tuple[Float[Array, "range beam"], Float[Array, "range beam"]]:
+    """The object's energy in units of the bare floor's there, and its shadow, in one window of the image (eq. 2).
+
+    As `render_window` has them, but at the cost of its highlight: each facet's energy is spread evenly over the ranges
+    that it shows in a slab, where `render_window` integrates over elevation. How much energy that is carries no
+    gradient, only where it falls.
+    """
+    rows = window.shape[0]
+    scene = in_sonar_frame(mesh, pose, sonar)
+    slabs = _slabs_of(mesh, scene, sonar, window, sub_beams)
+    outline = find_visible(mesh, scene, slabs, sonar, elevations, by_facet=True).outline
+    edges = _edges_of(sonar, window)
+    runs, stretches = _swept_ends(outline, slabs, scene, sonar, edges)
+    shown = _pulsed(*runs, sonar)
+    near, far = (stop_gradient(shown[0][:, k]) for k in (0, 1))
+    floor = floor_angle(edges[0] + sonar.range_bin * (near + far) / 2, sonar)
+    weight = jnp.where(outline.runs, outline.angle / floor / jnp.maximum(far - near, 1.0), 0.0)
+    echo = jnp.maximum(_per_beam(slabs, spread(*shown, weight, rows)), 0.0)
+    return echo, _per_beam(slabs, covered(*stretches, outline.stretches, rows))
+
+
+def _slabs_of(mesh: Mesh, scene: Scene, sonar: Sonar, window: Window, sub_beams: int) -> Slabs:
+    azimuth_edges = _columns(jnp.asarray(sonar.azimuth_edges), window.column, window.shape[1] + 1)
+    events = event_azimuths(scene.vertices, mesh.crease)
+    return make_slabs(azimuth_edges, events, sub_beams, window.object_columns)
+
+
+def _edges_of(sonar: Sonar, window: Window) -> Float[Array, "edge"]:
+    return sonar.range_min + sonar.range_bin * (window.row + jnp.arange(window.shape[0] + 1, dtype=jnp.float32))
 
 
 def _columns(values: Float[Array, "beam"], first: Int[Array, ""] | int, count: int) -> Float[Array, "column"]:
@@ -144,8 +175,8 @@ def _pairs(ends: Float[Array, "slab end"]) -> Float[Array, "slab 2 item"]:
 
 def _swept_ends(
     outline: Outline, slabs: Slabs, scene: Scene, sonar: Sonar, edges: Float[Array, "edge"]
-) -> tuple[Float[Array, "slab end"], Float[Array, "slab end"]]:
-    """Ranges [bins] of the outline's ends in the middle of each slab, and half of what they move by across it."""
+) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    """Both ends (slab, 2, run) [bins] in the middle of each slab, and half their sweep; the same of the stretches."""
 
     def bins(azimuth: Float[Array, "slab"]) -> Float[Array, "slab end"]:
         ranges = trace_ranges(outline, azimuth, scene)
@@ -158,22 +189,17 @@ def _swept_ends(
     half_width = (slabs.width / 2)[:, None]
     reach = facet_width(outline, slabs.middle, scene)
     steep = STEEPEST * (middle + edges[0] / sonar.range_bin) / jnp.maximum(jnp.abs(slope), 1e-6)
-    return middle, slope * stop_gradient(jnp.minimum(half_width, jnp.maximum(reach, steep * half_width)))
+    half = slope * stop_gradient(jnp.minimum(half_width, jnp.maximum(reach, steep * half_width)))
+    n_object = 2 * outline.runs.shape[1]  # the first ends lie on the object, the others on the floor
+    runs = _pairs(middle[:, :n_object]), _pairs(half[:, :n_object])
+    return runs, (_pairs(middle[:, n_object:]), _pairs(half[:, n_object:]))
 
 
-def _highlight(
-    outline: Outline,
-    middle: Float[Array, "slab end"],
-    half: Float[Array, "slab end"],
-    slabs: Slabs,
-    sonar: Sonar,
-    rows: int,
-) -> Float[Array, "range beam"]:
-    """Share of each pixel's range cell that first hits cover; a run is no shorter than the pulse (at least a bin)."""
-    middle, half = _pairs(middle), _pairs(half)
+def _pulsed(
+    middle: Float[Array, "slab 2 run"], half: Float[Array, "slab 2 run"], sonar: Sonar
+) -> tuple[Float[Array, "slab 2 run"], Float[Array, "slab 2 run"]]:
+    """Runs no shorter than the pulse (at least a bin)."""
     pulse = jnp.maximum(jnp.asarray(sonar.pulse_length, jnp.float32) / sonar.range_bin, 1.0)
     short = (middle[:, 1] - middle[:, 0] < pulse)[:, None]
     grown = middle.mean(axis=1, keepdims=True) + pulse * jnp.array([[-0.5], [0.5]])
-    middle = jnp.where(short, grown, middle)
-    half = jnp.where(short, half.mean(axis=1, keepdims=True), half)
-    return _per_beam(slabs, covered(middle, half, outline.runs, rows))
+    return jnp.where(short, grown, middle), jnp.where(short, half.mean(axis=1, keepdims=True), half)
