@@ -13,9 +13,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from sonarjax.render import Window, render_echo, render_window, semantic_image
+from sonarjax.render import Window, floor_angle, render_echo, render_window, semantic_image
 from sonarjax.scene import Mesh, Pose
 from sonarjax.sensor import SensorModel
+from sonarjax.sensor.multipath import bounce_mesh, without_floor
 from sonarjax.sonar import Sonar
 
 SMALL = 1e-9
@@ -68,8 +69,8 @@ def make_blur(shape: tuple[int, int], sigma: Float[Array, ""] | float) -> Blur:
     return Blur(along, kernel(jnp.arange(columns), columns, sigma * BEAMS_PER_BIN))
 
 
-def pose_at(start: Pose, step: Float[Array, "3"]) -> Pose:
-    """`start` moved by `step` = (yaw [rad], x [m], y [m])."""
+def pose_at(start: Pose, step: Float[Array, "step"]) -> Pose:
+    """`start` moved by `step` = (yaw [rad], x [m], y [m], ...)."""
     return Pose(start.x + step[1], start.y + step[2], start.yaw + step[0], start.z, start.roll, start.pitch)
 
 
@@ -85,15 +86,26 @@ def labelled(share: Float[Array, "*batch"], sharpness: Float[Array, ""]) -> Floa
 
 
 def draw(
-    problem: Problem, mesh: Mesh, sonar: Sonar, step: Float[Array, "3"], sub_beams: int, template: Template
+    problem: Problem, mesh: Mesh, sonar: Sonar, step: Float[Array, "step"], sub_beams: int, template: Template
 ) -> Float[Array, "range beam"]:
-    """The window's template at `step` from the start, as what it differs from the bare floor's grey value."""
-    view = (mesh, pose_at(problem.start, step), sonar, problem.window, sub_beams, ELEVATIONS)
+    """The window's template at `step` from the start, as what it differs from the bare floor's grey value.
+
+    For the echo `step` has a fourth number, the energy that a bounce on the floor leaves.
+    """
+    pose, quality = pose_at(problem.start, step), (sub_beams, ELEVATIONS)
     if template == "echo":
-        echo, shadow = render_echo(*view)
-        return _stored(OBJECT_GAIN * echo + 1 - shadow) - _stored(1.0)
-    layers = render_window(*view)
+        echo, shadow = render_echo(mesh, pose, sonar, problem.window, *quality)
+        mirrored = bounce_mesh(mesh, pose, sonar, 0.0, NOMINAL.floor_path)
+        bounced, _ = render_echo(*without_floor(mirrored, sonar), problem.window, *quality)
+        energy = OBJECT_GAIN * (echo + step[3] * bounced) / floor_angle(_ranges(problem.window, sonar), sonar)[:, None]
+        return _stored(energy + 1 - shadow) - _stored(1.0)
+    layers = render_window(mesh, pose, sonar, problem.window, *quality)
     return semantic_image(*(labelled(v, problem.sharpness) for v in (layers.highlight, layers.shadow))) - BACKGROUND
+
+
+def _ranges(window: Window, sonar: Sonar) -> Float[Array, "range"]:
+    """Slant ranges [m] of the middles of a window's range bins."""
+    return sonar.range_min + sonar.range_bin * (window.row + jnp.arange(window.shape[0]) + 0.5)
 
 
 def _stored(energy: Any) -> Any:
@@ -102,14 +114,14 @@ def _stored(energy: Any) -> Any:
 
 
 def draw_with_slope(
-    problem: Problem, mesh: Mesh, sonar: Sonar, step: Float[Array, "3"], sub_beams: int, template: Template
-) -> tuple[Float[Array, "range beam"], Float[Array, "3 range beam"]]:
-    """`draw` and its derivatives by yaw, x and y (forward mode)."""
+    problem: Problem, mesh: Mesh, sonar: Sonar, step: Float[Array, "step"], sub_beams: int, template: Template
+) -> tuple[Float[Array, "range beam"], Float[Array, "step range beam"]]:
+    """`draw` and its derivatives by each number of `step` (forward mode)."""
 
     def draw_at(step: Array) -> Array:
         return draw(problem, mesh, sonar, step, sub_beams, template)
 
-    return jax.vmap(lambda along: jax.jvp(draw_at, (step,), (along,)), out_axes=(None, 0))(jnp.eye(3))
+    return jax.vmap(lambda along: jax.jvp(draw_at, (step,), (along,)), out_axes=(None, 0))(jnp.eye(len(step)))
 
 
 def normalised(image: Float[Array, "range beam"], weight: Float[Array, "range beam"]) -> Float[Array, "range beam"]:

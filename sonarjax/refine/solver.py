@@ -18,7 +18,7 @@ from sonarjax.refine.objective import ROW_STRIDE, Blur, Problem, Template, draw_
 from sonarjax.scene import Mesh
 from sonarjax.sonar import Sonar
 
-TRUST = (0.12, 0.02, 0.02)  # largest step in yaw [rad], x and y [m] at which the linear model is believed
+TRUST = (0.12, 0.02, 0.02, 0.2)  # largest step in yaw [rad], x, y [m] and a bounce's energy that is believed
 INNER_STEPS = 4
 
 
@@ -27,59 +27,61 @@ class Found(NamedTuple):
 
     cost: Float[Array, ""]
     """1 − NCC of the blurred images."""
-    step: Float[Array, "3"]
-    """Yaw [rad], x [m] and y [m] from the start."""
+    step: Float[Array, "step"]
+    """Yaw [rad], x [m] and y [m] from the start, and the bounce's energy for the echo."""
     template: Float[Array, "range beam"]
     """What is rendered there, see `draw`."""
-    slope: Float[Array, "3 range beam"]
-    """Its derivatives by yaw, x and y."""
-    remaining: Float[Array, "3"]
+    slope: Float[Array, "step range beam"]
+    """Its derivatives by each number of `step`."""
+    remaining: Float[Array, "step"]
     """The step that the linear model would still take from there, as a share of the trust region."""
 
 
 def coarse_to_fine(
-    problem: Problem, mesh: Mesh, sonar: Sonar, bounds: Float[Array, "3"],
+    problem: Problem, mesh: Mesh, sonar: Sonar, bounds: Float[Array, "2 step"],
     blurs: tuple[float, ...], iterations: int, sub_beams: int, template: Template,
 ) -> Found:  # fmt: skip
-    """Minimise 1 − NCC for each blur [range bins] in turn, `iterations` times each, within `bounds` [rad, m, m]."""
+    """Minimise 1 − NCC for each blur [range bins] in turn, `iterations` times each, between `bounds` [rad, m, m, 1]."""
     shape = (problem.image.shape[0], problem.image.shape[1])
     made = [make_blur(shape, sigma) for sigma in blurs]
     ladder = jax.tree.map(lambda *v: jnp.stack(v), *made)
     level = jnp.repeat(jnp.arange(len(blurs)), iterations)
     # One more look at the last place reached: it may be the best.
     level = jnp.append(level, len(blurs) - 1)
+    start = jnp.zeros(bounds.shape[1])
+    trust = jnp.asarray(TRUST[: len(start)])
 
     def iterate(carry: tuple[Array, Found], level: Array) -> tuple[tuple[Array, Found], None]:
         step, best = carry
         blur = jax.tree.map(lambda v: v[level], ladder)
         drawn, slope = draw_with_slope(problem, mesh, sonar, step, sub_beams, template)
-        move, cost = _linear_step(problem, blur, drawn, slope)
-        here = Found(cost, step, drawn, slope, move / jnp.asarray(TRUST))
+        move, cost = _linear_step(problem, blur, drawn, slope, trust)
+        here = Found(cost, step, drawn, slope, move / trust)
         better = (level == len(blurs) - 1) & (cost < best.cost)
         best = jax.tree.map(lambda new, old: jnp.where(better, new, old), here, best)
-        return (jnp.clip(step + move, -bounds, bounds), best), None
+        return (jnp.clip(step + move, *bounds), best), None
 
-    none = Found(jnp.asarray(jnp.inf), jnp.zeros(3), jnp.zeros(shape), jnp.zeros((3, *shape)), jnp.ones(3))
-    (_, best), _ = jax.lax.scan(iterate, (jnp.zeros(3), none), level)
+    none = Found(jnp.asarray(jnp.inf), start, jnp.zeros(shape), jnp.zeros((len(start), *shape)), jnp.ones_like(start))
+    (_, best), _ = jax.lax.scan(iterate, (start, none), level)
     return best
 
 
-def _linear_step(problem: Problem, blur: Blur, drawn: Array, slope: Array) -> tuple[Array, Array]:
-    """The step (yaw, x, y) that fits the template's linear model best in the trust region, and 1 − NCC before it."""
+def _linear_step(problem: Problem, blur: Blur, drawn: Array, slope: Array, trust: Array) -> tuple[Array, Array]:
+    """The step that fits the template's linear model best in the trust region, and 1 − NCC before it."""
     weight = problem.weight[::ROW_STRIDE]
     seen = normalised(blur(problem.image * problem.weight), weight)
-    trust = jnp.asarray(TRUST)
     centred = jnp.concatenate([drawn[None], slope * trust[:, None, None]]) * problem.weight
     now, *change = blur(stop_gradient(centred))
 
-    def residuals(parameters: Float[Array, "3"]) -> Float[Array, "pixel"]:
+    def residuals(parameters: Float[Array, "step"]) -> Float[Array, "pixel"]:
         share = jnp.tanh(parameters)
-        moved = now + sum(share[k] * change[k] for k in range(3))
+        moved = now + sum(share[k] * change[k] for k in range(len(trust)))
         return (normalised(moved, weight) - seen).reshape(-1)
 
+    none = jnp.zeros(len(trust))
     solver = LevenbergMarquardt(
         residuals, maxiter=INNER_STEPS, damping_parameter=1e-3, tol=1e-6, xtol=1e-5, gtol=1e-6, solver="cholesky",
         materialize_jac=True, implicit_diff=False, jit=True, unroll=False,
     )  # fmt: skip
-    found, _ = solver.run(jnp.zeros(3))
-    return jnp.tanh(found) * trust, (residuals(jnp.zeros(3)) ** 2).sum() / 2
+    found, _ = solver.run(none)
+    return jnp.tanh(found) * trust, (residuals(none) ** 2).sum() / 2

@@ -106,7 +106,7 @@ def refine_yaw(
     count = math.prod(axes)
     which = jnp.arange(count) // max(count // max(math.prod(axes[:frames]), 1), 1)
     images, weights = (v.reshape(-1, *sonar.shape) for v in (image, weight))
-    limits, sharp = jnp.asarray(bounds, jnp.float32), jnp.float32(sharpness)
+    limits, sharp = _limits(bounds, template), jnp.float32(sharpness)
     traced = any(isinstance(v, jax.core.Tracer) for v in jax.tree.leaves((images, weights, starts, mesh, sonar)))
     refine = _refine if traced else _refine_compiled  # compiler options are for the outermost function only
 
@@ -133,6 +133,13 @@ def _window_size(mesh: Mesh, sonar: Sonar, start: Pose, bounds: tuple[float, ...
     return shape, min(-(-object_columns(mesh, sonar, nearest) // 16) * 16, sonar.n_beams)
 
 
+def _limits(bounds: tuple[float, ...], template: Template) -> Float[Array, "2 step"]:
+    """Least and largest step from the start; the echo's has what a bounce on the floor leaves of the energy, too."""
+    most = np.asarray(bounds, np.float32)
+    low, high = (-most, most) if template == "semantic" else (np.append(-most, 0.0), np.append(most, 1.0))
+    return jnp.asarray(np.stack([low, high]), jnp.float32)
+
+
 def _refine(
     images: Array, weights: Array, mesh: Mesh, sonar: Sonar, jobs: tuple[Array, Pose], bounds: Array, sharpness: Array,
     shape: tuple[int, int], beams: int, blurs: tuple[float, ...], iterations: int, sub_beams: int,
@@ -146,7 +153,7 @@ def _refine(
         inner = Window(window.row, window.column, shape, beams)
         problem = Problem(part, measured, start, inner, sharpness)
         if margin is not None:
-            drawn = draw(problem, mesh, sonar, jnp.zeros(3), sub_beams, template)
+            drawn = draw(problem, mesh, sonar, jnp.zeros(bounds.shape[1]), sub_beams, template)
             problem = problem._replace(weight=measured * box_around(drawn, margin))
         found = coarse_to_fine(problem, mesh, sonar, bounds, blurs, iterations, sub_beams, template)
         return _estimate(problem, found, bounds)
@@ -166,8 +173,8 @@ _refine_compiled = jax.jit(
 def _estimate(problem: Problem, found: Found, bounds: Array) -> YawEstimate:
     pose = pose_at(problem.start, found.step)
     score = crop_score(problem.image, found.template, problem.weight, (MARGIN_BINS, MARGIN_BEAMS))
-    inside = (jnp.abs(found.step) < 0.98 * bounds).all()
-    converged = inside & (jnp.abs(found.remaining).max() < CONVERGED_SHARE) & jnp.isfinite(score)
+    inside = (jnp.abs(found.step[:3]) < 0.98 * bounds[1, :3]).all()
+    converged = inside & (jnp.abs(found.remaining[:3]).max() < CONVERGED_SHARE) & jnp.isfinite(score)
     return YawEstimate(pose.yaw % (2 * jnp.pi), pose.x, pose.y, _yaw_std(problem, found), score, converged)
 
 
@@ -187,6 +194,6 @@ def _yaw_std(problem: Problem, found: Found) -> Array:
     information = jnp.einsum("irb,jrb->ij", slope, slope)
     by_beam = jnp.einsum("irb,rb->ib", slope, left)
     ridge = 1e-6 * jnp.trace(information) + 1e-12
-    inverse = jnp.linalg.inv(information + ridge * jnp.eye(3))
+    inverse = jnp.linalg.inv(information + ridge * jnp.eye(len(information)))
     covariance = inverse @ (by_beam @ by_beam.T) @ inverse
     return jnp.sqrt(jnp.maximum(covariance[0, 0], 0.0))

@@ -14,7 +14,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
 from sonarjax.render.candidates import candidates, front_faces
-from sonarjax.render.energy import floor_angle, floor_energy, floor_lit, object_energy
+from sonarjax.render.energy import floor_energy, floor_lit, object_energy
 from sonarjax.render.envelope import Pieces, is_sampled, visible_pieces
 from sonarjax.render.footprint import covered, spread
 from sonarjax.render.patch import patch_lit, patch_span
@@ -131,23 +131,21 @@ def render_window(mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, sub_beam
 def render_echo(
     mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, sub_beams: int, elevations: int
 ) -> tuple[Float[Array, "range beam"], Float[Array, "range beam"]]:
-    """The object's energy in units of the bare floor's there, and its shadow, in one window of the image (eq. 2).
+    """Elevation [rad] that the object's first hits fill in each range bin, and its shadow, in a window of the image.
 
-    As `render_window` has them, but at the cost of its highlight: each facet's energy is spread evenly over the ranges
-    that it shows in a slab, where `render_window` integrates over elevation. How much energy that is carries no
-    gradient, only where it falls.
+    Times the spreading that eq. 2 has for each range this is the object's energy as `render_window` has it, at the cost
+    of its highlight: a facet's elevation is spread evenly over the ranges that it shows in a slab. How much elevation
+    that is carries no gradient, only where it falls.
     """
     rows = window.shape[0]
     scene = in_sonar_frame(mesh, pose, sonar)
     slabs = _slabs_of(mesh, scene, sonar, window, sub_beams)
     outline = find_visible(mesh, scene, slabs, sonar, elevations, by_facet=True).outline
-    edges = _edges_of(sonar, window)
-    runs, stretches = _swept_ends(outline, slabs, scene, sonar, edges)
+    runs, stretches = _swept_ends(outline, slabs, scene, sonar, _edges_of(sonar, window))
     shown = _pulsed(*runs, sonar)
-    near, far = (stop_gradient(shown[0][:, k]) for k in (0, 1))
-    floor = floor_angle(edges[0] + sonar.range_bin * (near + far) / 2, sonar)
-    weight = jnp.where(outline.runs, outline.angle / floor / jnp.maximum(far - near, 1.0), 0.0)
-    echo = jnp.maximum(_per_beam(slabs, spread(*shown, weight, rows)), 0.0)
+    length = stop_gradient(shown[0][:, 1] - shown[0][:, 0])
+    density = jnp.where(outline.runs, outline.angle / jnp.maximum(length, 1.0), 0.0)
+    echo = jnp.maximum(_per_beam(slabs, spread(*shown, density, rows)), 0.0)
     return echo, _per_beam(slabs, covered(*stretches, outline.stretches, rows))
 
 

@@ -67,7 +67,8 @@ def render_bounces(
 
     def echo(mirror: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         plane, path, left = mirror
-        seen = _without_floor(bounce_mesh(mesh, pose, sonar, plane, path), sonar, sub_beams, elevations)
+        mirrored = without_floor(bounce_mesh(mesh, pose, sonar, plane, path), sonar)
+        seen = render(*mirrored, sub_beams=sub_beams, elevations=elevations)
         return left * seen.intensity, seen.highlight, seen.lit
 
     def silence(mirror: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
@@ -82,8 +83,8 @@ def render_bounces(
     return SonarFrame(energy.sum(0), share.max(0), jnp.zeros(sonar.shape), lit.any(0))
 
 
-def _without_floor(mesh: Mesh, sonar: Sonar, sub_beams: int, elevations: int) -> SonarFrame:
-    """Render a mesh of the ground frame with sonar and mesh lifted until the floor is beyond the window."""
+def without_floor(mesh: Mesh, sonar: Sonar) -> tuple[Mesh, Pose, Sonar]:
+    """What to render of a mesh of the ground frame: sonar and mesh are lifted until the floor is beyond the window."""
     lift = 2.0 * jnp.asarray(sonar.range_max, jnp.float32)
     lifted = sonar.replace(height=sonar.height + lift, elevation_aperture=WIDE_APERTURE, floor=None)
-    return render(mesh, Pose(z=lift), lifted, sub_beams=sub_beams, elevations=elevations)
+    return mesh, Pose(z=lift), lifted
