@@ -10,9 +10,11 @@ and real frames play no part.
 from __future__ import annotations
 
 import itertools
+import math
 from collections import defaultdict
 from dataclasses import dataclass
 from functools import partial
+from statistics import NormalDist
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,12 +32,13 @@ from sonarjax.recognize import REFINED_AGAIN, REFINEMENT
 BLURS = ((2.0, 0.8), (4.0, 1.5), (1.0, 0.5))
 SHARPNESSES = (0.0, 10.0)
 MARGINS = (REFINEMENT["margin"], None)
-
+HALF = NormalDist().inv_cdf(0.75)
 
 HEADS = {
     "segmenter": "segmenter",
     "median": "median [°]",
     "p95": "95 % [°]",
+    "besides": "besides yaw_std [°]",
     "on": "on",
     "template": "template",
     "blurs": "blurs",
@@ -55,6 +58,8 @@ class Settings:
     """Yaw step of the validation frames [deg]."""
     severity: float = 1.0
     """Severity of the sensor model [1]."""
+    drawn: bool = False
+    """Another device of the family for every frame, instead of the nominal one."""
     most: int = 0
     """How many blurs, sharpnesses and margins are tried together at most; 0 for all."""
 
@@ -71,7 +76,10 @@ class Way(NamedTuple):
 
     def is_used(self) -> bool:
         """Whether `recognize` does so."""
-        return self.on == "both" and all(REFINED_AGAIN[name] == getattr(self, name) for name in self._fields[1:])
+        return self.on == "both" and all(REFINED_AGAIN[name] == getattr(self, name) for name in FITTED)
+
+
+FITTED = Way._fields[1:]  # what `refine_yaw` takes
 
 
 def ways(most: int) -> list[Way]:
@@ -86,7 +94,11 @@ def ways(most: int) -> list[Way]:
 def run(settings: Settings, job: Job) -> Report:
     """One row for each segmenter and way, best first."""
     frames = paper_frames(
-        VALIDATION_SEED + job.seed, yaw_offset_deg=5.0, step_deg=settings.step_deg, severity=settings.severity
+        VALIDATION_SEED + job.seed,
+        yaw_offset_deg=5.0,
+        step_deg=settings.step_deg,
+        severity=settings.severity,
+        drawn=settings.drawn,
     )
     targets = [frame for frame in frames if frame.is_target]
     found = job.map(partial(_measure, targets, settings.most), settings.segmenters, "segmenters")
@@ -95,16 +107,31 @@ def run(settings: Settings, job: Job) -> Report:
 
 def _measure(frames: list[TestFrame], most: int, segmenter: str) -> list[dict[str, Any]]:
     rows = [
-        {"segmenter": segmenter} | summary_deg(found) | way._asdict() | {"used": way.is_used()}
-        for way, found in errors(frames, segmenter, most).items()
+        {"segmenter": segmenter, "besides": besides(error, std)}
+        | summary_deg(error)
+        | way._asdict()
+        | {"used": way.is_used()}
+        for way, (error, std) in errors(frames, segmenter, most).items()
     ]
     return sorted(rows, key=lambda row: row["p95"])
 
 
+def besides(error: np.ndarray, std: np.ndarray) -> float:
+    """What a standard deviation (frame,) must be joined by in quadrature, so that half of the errors are in its middle.
+
+    Half of all normal deviates are less than 0.6745 standard deviations off; 0 where `std` is large enough by itself.
+    """
+    low, high = 0.0, float(error.max()) / HALF
+    for _ in range(50):
+        middle = (low + high) / 2
+        low, high = (middle, high) if np.median(error / np.hypot(std, middle)) > HALF else (low, middle)
+    return high
+
+
 def errors(frames: list[TestFrame], segmenter: str, most: int) -> dict[Way, np.ndarray]:
-    """Yaw errors (frame,) [deg] of each way, from where `recognize` starts refining; 0 for `most` is all ways."""
+    """Yaw errors and `yaw_std` (2, frame) [deg] of each way, from where `recognize` starts refining; 0 for `most` is all ways."""
     mesh = sj.objects.target()
-    found: dict[Way, list[float]] = defaultdict(list)
+    found: dict[Way, list[tuple[float, float]]] = defaultdict(list)
     for frame in tqdm(frames, desc=segmenter, unit="frame", leave=False):
         sonar, semantic = sonar_for(frame.tilt_deg), map_of(segmenter, frame)
         start = sj.recognize(semantic, mesh, sonar, segmenter="none", refine=False)
@@ -113,16 +140,19 @@ def errors(frames: list[TestFrame], segmenter: str, most: int) -> dict[Way, np.n
         begun["both"] = frame.image, sj.refine_yaw(semantic, mesh, sonar, pose, **REFINEMENT).pose
         for way in ways(most):
             image, at = begun[way.on]
-            changed = REFINEMENT | {name: getattr(way, name) for name in way._fields[1:]}
+            changed = REFINED_AGAIN | {name: getattr(way, name) for name in FITTED}
             estimate = sj.refine_yaw(image, mesh, sonar, at, **changed)
-            found[way].append(float(yaw_error_deg(estimate.yaw, frame.yaw)))
-    return {way: np.array(values) for way, values in found.items()}
+            found[way].append((float(yaw_error_deg(estimate.yaw, frame.yaw)), math.degrees(float(estimate.yaw_std))))
+    return {way: np.array(values).T for way, values in found.items()}
 
 
 def table(report: Report) -> str:
     """The rows as a table; what is used is marked."""
     rows = [row | {"used": "used" if row["used"] else ""} for row in report["rows"]]
-    return f"{report['frames']} frames; error of the refined yaw\n\n{columns(rows, HEADS)}"
+    return (
+        f"{report['frames']} frames; error of the refined yaw; what must be added to yaw_std in quadrature, so that half of\n"
+        f"the errors are within 0.67 of it\n\n{columns(rows, HEADS)}"
+    )
 
 
 if __name__ == "__main__":

@@ -26,7 +26,8 @@ from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns
 from experiments.common.runs import Job
 from experiments.yaw_basin import CONVERGED, SHARPNESS_OF, MapName, map_of, moved, target_frames
-from sonarjax.refine.objective import ROW_STRIDE, Blur, Problem, draw_with_slope, make_blur, normalised
+from sonarjax.refine.objective import ROW_STRIDE, Blur, Problem, make_blur, normalised
+from sonarjax.refine.template import draw_with_slope
 from sonarjax.refine.yaw import BLURS_PX, BOUNDS, ITERATIONS, SLACK_M, SUB_BEAMS, _window_size
 from sonarjax.render import Window, place_window
 

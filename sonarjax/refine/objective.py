@@ -1,33 +1,22 @@
 """What refinement minimises: 1 − NCC between the rendered window and the image, as least-squares residuals.
 
 With both images blurred, freed of their mean and scaled to unit norm, the sum of squared differences is 2·(1 − NCC):
-eq. 4 becomes a least-squares problem, and any grey image will do. What is rendered is the semantic image that the
-paper matches, or the echo itself as a device would store it, whose facets are not all equally bright.
+eq. 4 becomes a least-squares problem, and any grey image will do.
 """
 
 from __future__ import annotations
 
-from typing import Any, Literal, NamedTuple
+from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from sonarjax.render import Window, floor_angle, render_echo, render_window, semantic_image
-from sonarjax.scene import Mesh, Pose
-from sonarjax.sensor import SensorModel
-from sonarjax.sensor.multipath import bounce_mesh, without_floor
-from sonarjax.sonar import Sonar
+from sonarjax.render import Window
+from sonarjax.scene import Pose
 
 SMALL = 1e-9
-ELEVATIONS = 64
 BEAMS_PER_BIN = 0.4  # a beam is about 2.5 bins wide at the ranges of §4.1: the blur is round on the floor
 ROW_STRIDE = 2  # every second row of a blurred image holds all of it
-Template = Literal["semantic", "echo"]
-"""What is fitted to the image: the semantic image, or the echo as a device would store it."""
-BACKGROUND = 0.5  # of the semantic image
-NOMINAL = SensorModel.nominal()  # how bright an echo is beside floor and shadow, and how it is stored
-OBJECT_GAIN = 10 ** (NOMINAL.object_gain / 10)
 
 
 class Problem(NamedTuple):
@@ -42,7 +31,7 @@ class Problem(NamedTuple):
     window: Window
     """Which part of the frame that is."""
     sharpness: Float[Array, ""]
-    """How sharply the template is labelled: see `labelled`."""
+    """How sharply a semantic template is labelled: see `template.labelled`."""
 
 
 class Blur(NamedTuple):
@@ -67,61 +56,6 @@ def make_blur(shape: tuple[int, int], sigma: Float[Array, ""] | float) -> Blur:
     sigma = jnp.asarray(sigma, jnp.float32)
     along = kernel(jnp.arange(0, rows, ROW_STRIDE), rows, sigma)
     return Blur(along, kernel(jnp.arange(columns), columns, sigma * BEAMS_PER_BIN))
-
-
-def pose_at(start: Pose, step: Float[Array, "step"]) -> Pose:
-    """`start` moved by `step` = (yaw [rad], x [m], y [m], ...)."""
-    return Pose(start.x + step[1], start.y + step[2], start.yaw + step[0], start.z, start.roll, start.pitch)
-
-
-def labelled(share: Float[Array, "*batch"], sharpness: Float[Array, ""]) -> Float[Array, "*batch"]:
-    """What a label image makes of a class's share of a pixel: all or nothing, softened to a logistic step at one half.
-
-    Without it a beam that an object half covers pulls at the estimate although its label says nothing but 'all'; with
-    it the yaw error on labels falls to half. `sharpness` 0 leaves the share as it is.
-    """
-    least = jax.nn.sigmoid(-sharpness / 2)
-    rescaled = (jax.nn.sigmoid(sharpness * (share - 0.5)) - least) / jnp.where(sharpness > 0, 1 - 2 * least, 1.0)
-    return jnp.where(sharpness > 0, rescaled, share)
-
-
-def draw(
-    problem: Problem, mesh: Mesh, sonar: Sonar, step: Float[Array, "step"], sub_beams: int, template: Template
-) -> Float[Array, "range beam"]:
-    """The window's template at `step` from the start, as what it differs from the bare floor's grey value.
-
-    For the echo `step` has a fourth number, the energy that a bounce on the floor leaves.
-    """
-    pose, quality = pose_at(problem.start, step), (sub_beams, ELEVATIONS)
-    if template == "echo":
-        echo, shadow = render_echo(mesh, pose, sonar, problem.window, *quality)
-        mirrored = bounce_mesh(mesh, pose, sonar, 0.0, NOMINAL.floor_path)
-        bounced, _ = render_echo(*without_floor(mirrored, sonar), problem.window, *quality)
-        energy = OBJECT_GAIN * (echo + step[3] * bounced) / floor_angle(_ranges(problem.window, sonar), sonar)[:, None]
-        return _stored(energy + 1 - shadow) - _stored(1.0)
-    layers = render_window(mesh, pose, sonar, problem.window, *quality)
-    return semantic_image(*(labelled(v, problem.sharpness) for v in (layers.highlight, layers.shadow))) - BACKGROUND
-
-
-def _ranges(window: Window, sonar: Sonar) -> Float[Array, "range"]:
-    """Slant ranges [m] of the middles of a window's range bins."""
-    return sonar.range_min + sonar.range_bin * (window.row + jnp.arange(window.shape[0]) + 0.5)
-
-
-def _stored(energy: Any) -> Any:
-    """Grey value of `energy`, in units of the bare floor's, at the nominal device."""
-    return (energy + NOMINAL.noise) ** NOMINAL.exponent
-
-
-def draw_with_slope(
-    problem: Problem, mesh: Mesh, sonar: Sonar, step: Float[Array, "step"], sub_beams: int, template: Template
-) -> tuple[Float[Array, "range beam"], Float[Array, "step range beam"]]:
-    """`draw` and its derivatives by each number of `step` (forward mode)."""
-
-    def draw_at(step: Array) -> Array:
-        return draw(problem, mesh, sonar, step, sub_beams, template)
-
-    return jax.vmap(lambda along: jax.jvp(draw_at, (step,), (along,)), out_axes=(None, 0))(jnp.eye(len(step)))
 
 
 def normalised(image: Float[Array, "range beam"], weight: Float[Array, "range beam"]) -> Float[Array, "range beam"]:

@@ -14,7 +14,8 @@ from jax.lax import stop_gradient
 from jaxopt import LevenbergMarquardt
 from jaxtyping import Array, Float
 
-from sonarjax.refine.objective import ROW_STRIDE, Blur, Problem, Template, draw_with_slope, make_blur, normalised
+from sonarjax.refine.objective import ROW_STRIDE, Blur, Problem, make_blur, normalised
+from sonarjax.refine.template import Template, draw_with_slope
 from sonarjax.scene import Mesh
 from sonarjax.sonar import Sonar
 

@@ -13,8 +13,9 @@ from jaxtyping import Array, Bool, Float
 
 from sonarjax._cores import SINGLE_CORE, on_all_cores
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.refine.objective import Problem, Template, box_around, crop_score, draw, normalised, pose_at
+from sonarjax.refine.objective import Problem, box_around, crop_score, normalised
 from sonarjax.refine.solver import Found, coarse_to_fine
+from sonarjax.refine.template import BESIDES, Template, draw, pose_at
 from sonarjax.render import Window, object_columns, place_window, window_shape
 from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS
 from sonarjax.scene import Mesh, Pose
@@ -134,10 +135,8 @@ def _window_size(mesh: Mesh, sonar: Sonar, start: Pose, bounds: tuple[float, ...
 
 
 def _limits(bounds: tuple[float, ...], template: Template) -> Float[Array, "2 step"]:
-    """Least and largest step from the start; the echo's has what a bounce on the floor leaves of the energy, too."""
-    most = np.asarray(bounds, np.float32)
-    low, high = (-most, most) if template == "semantic" else (np.append(-most, 0.0), np.append(most, 1.0))
-    return jnp.asarray(np.stack([low, high]), jnp.float32)
+    """Least and largest value of each number that is fitted: steps from the start, and what `BESIDES` names."""
+    return jnp.array([*((-most, most) for most in bounds), *BESIDES[template]], jnp.float32).T
 
 
 def _refine(

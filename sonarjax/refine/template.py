@@ -1,0 +1,85 @@
+"""What refinement fits to an image: a template rendered at a pose, and its derivatives by all that is fitted.
+
+The `semantic` template is the one that the paper matches. The `echo` is the frame as a device would store it: each
+facet as bright as eq. 2 makes it, and what comes by way of the floor, as bars inside the shadow.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from sonarjax.refine.objective import Problem
+from sonarjax.render import Window, floor_angle, render_echo, render_window, semantic_image
+from sonarjax.scene import Mesh, Pose
+from sonarjax.sensor import SensorModel
+from sonarjax.sensor.multipath import bounce_mesh, without_floor
+from sonarjax.sonar import Sonar
+
+Template = Literal["semantic", "echo"]
+"""What is fitted: highlight, shadow and floor as three values of grey, or the echo as a device would store it."""
+ELEVATIONS = 64
+BACKGROUND = 0.5  # of the semantic image
+NOMINAL = SensorModel.nominal()  # how bright an echo is beside floor and shadow, and how it is stored
+OBJECT_GAIN = 10 ** (NOMINAL.object_gain / 10)
+BESIDES: dict[str, tuple[tuple[float, float], ...]] = {"semantic": (), "echo": ((0.0, 1.0),)}
+"""Bounds of what is fitted besides yaw, x and y: of an echo, the energy that a bounce on the floor leaves."""
+
+
+def labelled(share: Float[Array, "*batch"], sharpness: Float[Array, ""]) -> Float[Array, "*batch"]:
+    """What a label image makes of a class's share of a pixel: all or nothing, softened to a logistic step at one half.
+
+    Without it a beam that an object half covers pulls at the estimate although its label says nothing but 'all'; with
+    it the yaw error on labels falls to half. `sharpness` 0 leaves the share as it is.
+    """
+    least = jax.nn.sigmoid(-sharpness / 2)
+    rescaled = (jax.nn.sigmoid(sharpness * (share - 0.5)) - least) / jnp.where(sharpness > 0, 1 - 2 * least, 1.0)
+    return jnp.where(sharpness > 0, rescaled, share)
+
+
+def pose_at(start: Pose, step: Float[Array, "step"]) -> Pose:
+    """`start` moved by `step` = (yaw [rad], x [m], y [m], ...)."""
+    return Pose(start.x + step[1], start.y + step[2], start.yaw + step[0], start.z, start.roll, start.pitch)
+
+
+def draw(
+    problem: Problem, mesh: Mesh, sonar: Sonar, step: Float[Array, "step"], sub_beams: int, template: Template
+) -> Float[Array, "range beam"]:
+    """The window's template at `step` from the start, as what it differs from the bare floor's grey value.
+
+    `step` is yaw [rad], x and y [m], and for the echo the energy that a bounce on the floor leaves [1].
+    """
+    pose = pose_at(problem.start, step)
+    if template == "echo":
+        return _echo(mesh, pose, sonar, problem.window, sub_beams, step[3])
+    layers = render_window(mesh, pose, sonar, problem.window, sub_beams, ELEVATIONS)
+    return semantic_image(*(labelled(v, problem.sharpness) for v in (layers.highlight, layers.shadow))) - BACKGROUND
+
+
+def draw_with_slope(
+    problem: Problem, mesh: Mesh, sonar: Sonar, step: Float[Array, "step"], sub_beams: int, template: Template
+) -> tuple[Float[Array, "range beam"], Float[Array, "step range beam"]]:
+    """`draw` and its derivatives by each number of `step` (forward mode)."""
+
+    def draw_at(step: Array) -> Array:
+        return draw(problem, mesh, sonar, step, sub_beams, template)
+
+    return jax.vmap(lambda along: jax.jvp(draw_at, (step,), (along,)), out_axes=(None, 0))(jnp.eye(len(step)))
+
+
+def _echo(mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, sub_beams: int, bounce: Array) -> Array:
+    """What a nominal device stores of the object, its bounce on the floor and its shadow (range, beam)."""
+    direct, shadow = render_echo(mesh, pose, sonar, window, sub_beams, ELEVATIONS)
+    mirrored = without_floor(bounce_mesh(mesh, pose, sonar, 0.0, NOMINAL.floor_path), sonar)
+    bounced, _ = render_echo(*mirrored, window, sub_beams, ELEVATIONS)
+    ranges = sonar.range_min + sonar.range_bin * (window.row + jnp.arange(window.shape[0]) + 0.5)
+    energy = OBJECT_GAIN * (direct + bounce * bounced) / floor_angle(ranges, sonar)[:, None]
+    return _stored(energy + 1 - shadow) - _stored(1.0)
+
+
+def _stored(energy: Any) -> Any:
+    """Grey value of `energy`, in units of the bare floor's."""
+    return (energy + NOMINAL.noise) ** NOMINAL.exponent
