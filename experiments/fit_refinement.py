@@ -129,7 +129,7 @@ def besides(error: np.ndarray, std: np.ndarray) -> float:
 
 
 def errors(frames: list[TestFrame], segmenter: str, most: int) -> dict[Way, np.ndarray]:
-    """Yaw errors and `yaw_std` (2, frame) [deg] of each way, from where `recognize` starts refining; 0 for `most` is all ways."""
+    """Yaw errors and `yaw_std` (2, frame) [deg] of each way from where `recognize` starts; 0 for `most` is all ways."""
     mesh = sj.objects.target()
     found: dict[Way, list[tuple[float, float]]] = defaultdict(list)
     for frame in tqdm(frames, desc=segmenter, unit="frame", leave=False):
@@ -150,8 +150,8 @@ def table(report: Report) -> str:
     """The rows as a table; what is used is marked."""
     rows = [row | {"used": "used" if row["used"] else ""} for row in report["rows"]]
     return (
-        f"{report['frames']} frames; error of the refined yaw; what must be added to yaw_std in quadrature, so that half of\n"
-        f"the errors are within 0.67 of it\n\n{columns(rows, HEADS)}"
+        f"{report['frames']} frames; error of the refined yaw, and what yaw_std must be joined by in quadrature for\n"
+        f"half of the errors to be within 0.67 of it\n\n{columns(rows, HEADS)}"
     )
 
 

@@ -39,6 +39,9 @@ REFINEMENT: dict[str, Any] = {
 REFINED_AGAIN: dict[str, Any] = REFINEMENT | {"blurs": (1.0, 0.5), "iterations": 3, "template": "echo"}
 """How it then goes on with the frame itself: a map says what is where, but its edges are blunt, and all of an object is
 equally bright in it (on validation frames a median of 0.4° instead of 0.9°, see experiments/fit_refinement.py)."""
+UNMODELLED_YAW = math.radians(0.5)
+"""Standard deviation of yaw [rad] that a frame does not show: bounces, brightness and speckle that the echo template
+leaves out. What `yaw_std` must be joined by on validation frames (experiments/fit_refinement.py --drawn)."""
 SAME_YAW = math.radians(8.0)  # refined hypotheses closer than this are one
 THRESHOLDS = {
     "pix2pix": 0.822,
@@ -60,7 +63,9 @@ class Hypothesis:
     score: float
     """NCC (eq. 4) of its template."""
     yaw_std: float | None
-    """Standard deviation of the refined yaw [rad], given this hypothesis; None without refinement."""
+    """Standard deviation of the refined yaw [rad], given this hypothesis: `refine_yaw`'s, joined by `UNMODELLED_YAW`.
+
+    None without refinement."""
 
 
 @dataclass(frozen=True)
@@ -276,7 +281,8 @@ def recognize(
         pose = Pose(np.full(HYPOTHESES, x), np.full(HYPOTHESES, y), turned)
         estimate = refine_yaw(semantic, mesh, sonar, pose, mask=mask, **REFINEMENT | {"bounds": _bounds(yaw_bins)})
         estimate = refine_yaw(image, mesh, sonar, estimate.pose, mask=mask, **REFINED_AGAIN)
-        hypotheses = _hypotheses(*(np.asarray(v) for v in (estimate.yaw, estimate.score, estimate.yaw_std)))
+        stds = np.hypot(np.asarray(estimate.yaw_std), UNMODELLED_YAW)
+        hypotheses = _hypotheses(np.asarray(estimate.yaw), np.asarray(estimate.score), stds)
         x, y = _place_of_best(estimate)
     limit = THRESHOLDS[segmenter] if threshold is None else float(threshold)
     score = float(scores.max())

@@ -23,7 +23,7 @@ import sonarjax as sj
 from sonarjax.io import Frame, SonarjaxError, iter_frames
 from sonarjax.io.load import PARSERS
 from sonarjax.plot import MARK_COLOR
-from sonarjax.recognize import REFINED_AGAIN, REFINEMENT, THRESHOLDS, Hypothesis, Recognition
+from sonarjax.recognize import REFINED_AGAIN, REFINEMENT, THRESHOLDS, UNMODELLED_YAW, Hypothesis, Recognition
 from sonarjax.segment import semantic_map
 from sonarjax.sensor import SensorModel, observe_scene
 
@@ -135,9 +135,8 @@ class Finder:
         if not score >= limit:  # nor when it is NaN
             return None
         estimate = refine(frame.image, start=estimate.pose, **REFINED_AGAIN)
-        yaw, std, x, y, refined = (
-            float(v) for v in (estimate.yaw, estimate.yaw_std, estimate.x, estimate.y, estimate.score)
-        )
+        yaw, x, y, refined = (float(v) for v in (estimate.yaw, estimate.x, estimate.y, estimate.score))
+        std = math.hypot(float(estimate.yaw_std), UNMODELLED_YAW)
         return Recognition(
             identified=True, score=score, score_bank=math.nan, score_refined=refined, threshold=limit,
             yaw_bin=math.nan, yaw=yaw, yaw_std=std, x=x, y=y, scores_by_yaw=np.empty(0),

@@ -40,12 +40,11 @@ class Found(NamedTuple):
 
 def coarse_to_fine(
     problem: Problem, mesh: Mesh, sonar: Sonar, bounds: Float[Array, "2 step"],
-    blurs: tuple[float, ...], iterations: int, sub_beams: int, template: Template,
+    blurs: Float[Array, "blur"], iterations: int, sub_beams: int, template: Template,
 ) -> Found:  # fmt: skip
     """Minimise 1 − NCC for each blur [range bins] in turn, `iterations` times each, between `bounds` [rad, m, m, 1]."""
     shape = (problem.image.shape[0], problem.image.shape[1])
-    made = [make_blur(shape, sigma) for sigma in blurs]
-    ladder = jax.tree.map(lambda *v: jnp.stack(v), *made)
+    ladder = jax.vmap(lambda sigma: make_blur(shape, sigma))(blurs)
     level = jnp.repeat(jnp.arange(len(blurs)), iterations)
     # One more look at the last place reached: it may be the best.
     level = jnp.append(level, len(blurs) - 1)

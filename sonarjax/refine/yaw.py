@@ -107,14 +107,14 @@ def refine_yaw(
     count = math.prod(axes)
     which = jnp.arange(count) // max(count // max(math.prod(axes[:frames]), 1), 1)
     images, weights = (v.reshape(-1, *sonar.shape) for v in (image, weight))
-    limits, sharp = _limits(bounds, template), jnp.float32(sharpness)
+    limits, sharp, sigmas = _limits(bounds, template), jnp.float32(sharpness), jnp.asarray(blurs, jnp.float32)
     traced = any(isinstance(v, jax.core.Tracer) for v in jax.tree.leaves((images, weights, starts, mesh, sonar)))
     refine = _refine if traced else _refine_compiled  # compiler options are for the outermost function only
 
     def part(jobs: tuple[Array, Pose]) -> YawEstimate:
         return refine(
-            images, weights, mesh, sonar, jobs, limits, sharp,
-            shape, beams, tuple(blurs), iterations, sub_beams, margin, template,
+            images, weights, mesh, sonar, jobs, limits, sharp, sigmas,
+            shape, beams, iterations, sub_beams, margin, template,
         )  # fmt: skip
 
     found = on_all_cores(part, (which, starts))
@@ -140,8 +140,9 @@ def _limits(bounds: tuple[float, ...], template: Template) -> Float[Array, "2 st
 
 
 def _refine(
-    images: Array, weights: Array, mesh: Mesh, sonar: Sonar, jobs: tuple[Array, Pose], bounds: Array, sharpness: Array,
-    shape: tuple[int, int], beams: int, blurs: tuple[float, ...], iterations: int, sub_beams: int,
+    images: Array, weights: Array, mesh: Mesh, sonar: Sonar, jobs: tuple[Array, Pose],
+    bounds: Array, sharpness: Array, blurs: Array,
+    shape: tuple[int, int], beams: int, iterations: int, sub_beams: int,
     margin: tuple[int, int] | None, template: Template,
 ) -> YawEstimate:  # fmt: skip
     def one(job: tuple[Array, Pose]) -> YawEstimate:
@@ -164,7 +165,7 @@ def _refine(
 
 _refine_compiled = jax.jit(
     _refine,
-    static_argnames=("shape", "beams", "blurs", "iterations", "sub_beams", "margin", "template"),
+    static_argnames=("shape", "beams", "iterations", "sub_beams", "margin", "template"),
     compiler_options=SINGLE_CORE,
 )
 
