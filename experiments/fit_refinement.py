@@ -27,7 +27,7 @@ from experiments.common.metrics import columns, summary_deg, yaw_error_deg
 from experiments.common.runs import Job
 from experiments.common.segmenters import map_of
 from experiments.fit_threshold import VALIDATION_SEED
-from sonarjax.recognize import REFINED_AGAIN, REFINEMENT
+from sonarjax.recognize import ON_FRAME, REFINEMENT
 
 BLURS = ((2.0, 0.8), (4.0, 1.5), (1.0, 0.5))
 SHARPNESSES = (0.0, 10.0)
@@ -74,12 +74,9 @@ class Way(NamedTuple):
     sharpness: float
     margin: tuple[int, int] | None
 
-    def is_used(self) -> bool:
-        """Whether `recognize` does so."""
-        return self.on == "both" and all(REFINED_AGAIN[name] == getattr(self, name) for name in FITTED)
 
-
-FITTED = Way._fields[1:]  # what `refine_yaw` takes
+USED = [Way("both", *(({"template": "semantic"} | way)[name] for name in Way._fields[1:])) for way in ON_FRAME]
+BETTER = USED[0]._replace(template="better")  # what `recognize` does: of both, the one with the better score
 
 
 def ways(most: int) -> list[Way]:
@@ -88,7 +85,8 @@ def ways(most: int) -> list[Way]:
     plain = [setting for setting in settings if setting[1] == 0.0]
     chosen = {("map", "semantic"): settings, ("frame", "semantic"): settings, ("both", "semantic"): settings}
     chosen |= {("frame", "echo"): plain, ("both", "echo"): plain}
-    return [Way(*what, *setting) for what, all_of_it in chosen.items() for setting in all_of_it]
+    compared = [Way(*what, *setting) for what, all_of_it in chosen.items() for setting in all_of_it]
+    return compared + [way for way in USED if way not in compared]
 
 
 def run(settings: Settings, job: Job) -> Report:
@@ -110,8 +108,8 @@ def _measure(frames: list[TestFrame], most: int, segmenter: str) -> list[dict[st
         {"segmenter": segmenter, "besides": besides(error, std)}
         | summary_deg(error)
         | way._asdict()
-        | {"used": way.is_used()}
-        for way, (error, std) in errors(frames, segmenter, most).items()
+        | {"used": way == BETTER}
+        for way, (error, std, _) in errors(frames, segmenter, most).items()
     ]
     return sorted(rows, key=lambda row: row["p95"])
 
@@ -129,9 +127,9 @@ def besides(error: np.ndarray, std: np.ndarray) -> float:
 
 
 def errors(frames: list[TestFrame], segmenter: str, most: int) -> dict[Way, np.ndarray]:
-    """Yaw errors and `yaw_std` (2, frame) [deg] of each way from where `recognize` starts; 0 for `most` is all ways."""
+    """Yaw error [deg], `yaw_std` [deg] and score (3, frame) of each way from where `recognize` starts; 0 is all ways."""
     mesh = sj.objects.target()
-    found: dict[Way, list[tuple[float, float]]] = defaultdict(list)
+    found: dict[Way, list[tuple[float, ...]]] = defaultdict(list)
     for frame in tqdm(frames, desc=segmenter, unit="frame", leave=False):
         sonar, semantic = sonar_for(frame.tilt_deg), map_of(segmenter, frame)
         start = sj.recognize(semantic, mesh, sonar, segmenter="none", refine=False)
@@ -140,9 +138,11 @@ def errors(frames: list[TestFrame], segmenter: str, most: int) -> dict[Way, np.n
         begun["both"] = frame.image, sj.refine_yaw(semantic, mesh, sonar, pose, **REFINEMENT).pose
         for way in ways(most):
             image, at = begun[way.on]
-            changed = REFINED_AGAIN | {name: getattr(way, name) for name in FITTED}
-            estimate = sj.refine_yaw(image, mesh, sonar, at, **changed)
-            found[way].append((float(yaw_error_deg(estimate.yaw, frame.yaw)), math.degrees(float(estimate.yaw_std))))
+            settings = {name: getattr(way, name) for name in Way._fields[1:]}
+            estimate = sj.refine_yaw(image, mesh, sonar, at, **REFINEMENT | settings)
+            error = yaw_error_deg(estimate.yaw, frame.yaw)
+            found[way].append((float(error), math.degrees(float(estimate.yaw_std)), float(estimate.score)))
+        found[BETTER].append(max((found[way][-1] for way in USED), key=lambda one: one[2]))
     return {way: np.array(values).T for way, values in found.items()}
 
 

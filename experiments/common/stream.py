@@ -23,7 +23,7 @@ import sonarjax as sj
 from sonarjax.io import Frame, SonarjaxError, iter_frames
 from sonarjax.io.load import PARSERS
 from sonarjax.plot import MARK_COLOR
-from sonarjax.recognize import REFINED_AGAIN, REFINEMENT, THRESHOLDS, UNMODELLED_YAW, Hypothesis, Recognition
+from sonarjax.recognize import REFINEMENT, THRESHOLDS, UNMODELLED_YAW, Hypothesis, Recognition, refine_on_frame
 from sonarjax.segment import semantic_map
 from sonarjax.sensor import SensorModel, observe_scene
 
@@ -129,12 +129,11 @@ class Finder:
         """The pose refined from the last one; None when its template correlates less than the threshold."""
         on = "none" if self.way == "track frame" else self.segmenter
         semantic = semantic_map(frame.image, on, frame.mask)
-        refine = partial(sj.refine_yaw, mesh=self.mesh, sonar=self.sonar, mask=frame.mask)
-        estimate = refine(semantic, start=last, **REFINEMENT)
+        estimate = sj.refine_yaw(semantic, self.mesh, self.sonar, last, mask=frame.mask, **REFINEMENT)
         score, limit = float(estimate.score), THRESHOLDS[on] if self.threshold is None else self.threshold
         if not score >= limit:  # nor when it is NaN
             return None
-        estimate = refine(frame.image, start=estimate.pose, **REFINED_AGAIN)
+        estimate = refine_on_frame(frame.image, self.mesh, self.sonar, estimate.pose, frame.mask)
         yaw, x, y, refined = (float(v) for v in (estimate.yaw, estimate.x, estimate.y, estimate.score))
         std = math.hypot(float(estimate.yaw_std), UNMODELLED_YAW)
         return Recognition(

@@ -125,7 +125,7 @@ def render_window(mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, sub_beam
     floor = patch_lit(azimuth, scene, sonar, edges)
     bare = floor_energy(azimuth, scene, sonar, edges) * floor
     lit = (floor_lit(azimuth, scene, edges) & floor) | (highlight > 0.5)
-    return Layers(jnp.maximum(echo, 0.0) + bare * (1 - shadow), highlight, shadow, lit)
+    return Layers(jnp.maximum(echo, 0.0) + bare * jnp.maximum(1 - shadow, 0.0), highlight, shadow, lit)
 
 
 def render_echo(
