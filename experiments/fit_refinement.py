@@ -127,7 +127,7 @@ def besides(error: np.ndarray, std: np.ndarray) -> float:
 
 
 def errors(frames: list[TestFrame], segmenter: str, most: int) -> dict[Way, np.ndarray]:
-    """Yaw error [deg], `yaw_std` [deg] and score (3, frame) of each way from where `recognize` starts; 0 is all ways."""
+    """Yaw error [deg], `yaw_std` [deg] and score (3, frame) of each way from `recognize`'s start; 0 is all ways."""
     mesh = sj.objects.target()
     found: dict[Way, list[tuple[float, ...]]] = defaultdict(list)
     for frame in tqdm(frames, desc=segmenter, unit="frame", leave=False):

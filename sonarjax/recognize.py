@@ -310,7 +310,7 @@ def recognize(
 
 
 def refine_on_frame(image: Any, mesh: Mesh, sonar: Sonar, start: Pose, mask: Any = None) -> YawEstimate:
-    """The poses of `start`, refined on the grey frame (range, beam) with whichever template fits it better (`ON_FRAME`).
+    """The poses of `start` refined on the grey frame (range, beam), by the template that fits it better (`ON_FRAME`).
 
     Raises SonarjaxError as `refine_yaw` does.
     """

@@ -15,7 +15,7 @@ from jaxopt import LevenbergMarquardt
 from jaxtyping import Array, Float
 
 from sonarjax.refine.objective import ROW_STRIDE, Blur, Problem, make_blur, normalised
-from sonarjax.refine.template import Template, draw_with_slope
+from sonarjax.refine.template import draw_with_slope
 from sonarjax.scene import Mesh
 from sonarjax.sonar import Sonar
 
@@ -40,7 +40,7 @@ class Found(NamedTuple):
 
 def coarse_to_fine(
     problem: Problem, mesh: Mesh, sonar: Sonar, bounds: Float[Array, "2 step"],
-    blurs: Float[Array, "blur"], iterations: int, sub_beams: int, template: Template,
+    blurs: Float[Array, "blur"], iterations: int, sub_beams: int, template: str,
 ) -> Found:  # fmt: skip
     """Minimise 1 − NCC for each blur [range bins] in turn, `iterations` times each, between `bounds` [rad, m, m, 1]."""
     shape = (problem.image.shape[0], problem.image.shape[1])

@@ -6,7 +6,7 @@ facet as bright as eq. 2 makes it, and what comes by way of the floor, as bars i
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -19,14 +19,12 @@ from sonarjax.sensor import SensorModel
 from sonarjax.sensor.multipath import bounce_mesh, without_floor
 from sonarjax.sonar import Sonar
 
-Template = Literal["semantic", "echo"]
-"""What is fitted: highlight, shadow and floor as three values of grey, or the echo as a device would store it."""
 ELEVATIONS = 64
 BACKGROUND = 0.5  # of the semantic image
 NOMINAL = SensorModel.nominal()  # how bright an echo is beside floor and shadow, and how it is stored
 OBJECT_GAIN = 10 ** (NOMINAL.object_gain / 10)
 BESIDES: dict[str, tuple[tuple[float, float], ...]] = {"semantic": (), "echo": ((0.0, 1.0),)}
-"""Bounds of what is fitted besides yaw, x and y: of an echo, the energy that a bounce on the floor leaves."""
+"""The templates, and the bounds of what they need besides yaw, x and y: the energy that a bounce on the floor leaves"""
 
 
 def labelled(share: Float[Array, "*batch"], sharpness: Float[Array, ""]) -> Float[Array, "*batch"]:
@@ -46,7 +44,7 @@ def pose_at(start: Pose, step: Float[Array, "step"]) -> Pose:
 
 
 def draw(
-    problem: Problem, mesh: Mesh, sonar: Sonar, step: Float[Array, "step"], sub_beams: int, template: Template
+    problem: Problem, mesh: Mesh, sonar: Sonar, step: Float[Array, "step"], sub_beams: int, template: str
 ) -> Float[Array, "range beam"]:
     """The window's template at `step` from the start, as what it differs from the bare floor's grey value.
 
@@ -60,7 +58,7 @@ def draw(
 
 
 def draw_with_slope(
-    problem: Problem, mesh: Mesh, sonar: Sonar, step: Float[Array, "step"], sub_beams: int, template: Template
+    problem: Problem, mesh: Mesh, sonar: Sonar, step: Float[Array, "step"], sub_beams: int, template: str
 ) -> tuple[Float[Array, "range beam"], Float[Array, "step range beam"]]:
     """`draw` and its derivatives by each number of `step` (forward mode)."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, get_args
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +15,7 @@ from sonarjax._cores import SINGLE_CORE, on_all_cores
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.refine.objective import Problem, box_around, crop_score, normalised
 from sonarjax.refine.solver import Found, coarse_to_fine
-from sonarjax.refine.template import BESIDES, Template, draw, pose_at
+from sonarjax.refine.template import BESIDES, draw, pose_at
 from sonarjax.render import Window, object_columns, place_window, window_shape
 from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS
 from sonarjax.scene import Mesh, Pose
@@ -72,7 +72,7 @@ def refine_yaw(
     sub_beams: int = SUB_BEAMS,
     sharpness: float = SHARPNESS,
     margin: tuple[int, int] | None = None,
-    template: Template = "semantic",
+    template: str = "semantic",
 ) -> YawEstimate:
     """Refine yaw, x and y of the object from `start` by Levenberg–Marquardt on 1 − NCC of the rendered template.
 
@@ -88,8 +88,8 @@ def refine_yaw(
 
     Raises SonarjaxError when the shapes do not fit the sonar, or for an unknown template.
     """
-    if template not in get_args(Template):
-        raise SonarjaxError(f"template: expected one of {', '.join(get_args(Template))}, got {template!r}")
+    if template not in BESIDES:
+        raise SonarjaxError(f"template: expected one of {', '.join(BESIDES)}, got {template!r}")
     image = jnp.asarray(image, jnp.float32)
     if image.ndim not in (2, 3) or image.shape[-2:] != sonar.shape:
         raise SonarjaxError(f"image: expected shape {sonar.shape} (range, beam) of the sonar, got {image.shape}")
@@ -134,7 +134,7 @@ def _window_size(mesh: Mesh, sonar: Sonar, start: Pose, bounds: tuple[float, ...
     return shape, min(-(-object_columns(mesh, sonar, nearest) // 16) * 16, sonar.n_beams)
 
 
-def _limits(bounds: tuple[float, ...], template: Template) -> Float[Array, "2 step"]:
+def _limits(bounds: tuple[float, ...], template: str) -> Float[Array, "2 step"]:
     """Least and largest value of each number that is fitted: steps from the start, and what `BESIDES` names."""
     return jnp.array([*((-most, most) for most in bounds), *BESIDES[template]], jnp.float32).T
 
@@ -143,7 +143,7 @@ def _refine(
     images: Array, weights: Array, mesh: Mesh, sonar: Sonar, jobs: tuple[Array, Pose],
     bounds: Array, sharpness: Array, blurs: Array,
     shape: tuple[int, int], beams: int, iterations: int, sub_beams: int,
-    margin: tuple[int, int] | None, template: Template,
+    margin: tuple[int, int] | None, template: str,
 ) -> YawEstimate:  # fmt: skip
     def one(job: tuple[Array, Pose]) -> YawEstimate:
         frame, start = job

@@ -131,7 +131,7 @@ def render_window(mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, sub_beam
 def render_echo(
     mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, sub_beams: int, elevations: int
 ) -> tuple[Float[Array, "range beam"], Float[Array, "range beam"]]:
-    """Elevation [rad] that the object's first hits fill in each range bin, and its shadow, in a window of the image.
+    """Elevation [rad] that an object's first hits fill in each pixel of a window, and its shadow: both (range, beam).
 
     Times the spreading that eq. 2 has for each range this is the object's energy as `render_window` has it, at the cost
     of its highlight: a facet's elevation is spread evenly over the ranges that it shows in a slab. How much elevation

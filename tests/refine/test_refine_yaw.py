@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import sonarjax as sj
-from sonarjax.refine.objective import labelled, make_blur, normalised
+from sonarjax.refine.objective import make_blur, normalised
+from sonarjax.refine.template import labelled
 
 SONAR = sj.Sonar.preset("didson-hf", tilt=math.radians(20.0), height=0.9)
 GREY = np.array([0.5, 1.0, 0.0], np.float32)
@@ -106,13 +107,14 @@ def test_inside_jit_as_outside(scene):
         ({"image": np.zeros((3, 4), np.float32)}, "image: expected shape"),
         ({"mask": np.ones((3, 4), bool)}, "mask: expected the image's shape"),
         ({"start": sj.Pose(np.full(3, 2.3), np.zeros((2, 3)), np.zeros(3))}, "start: expected one pose"),
+        ({"template": "intensity"}, "template: expected one of semantic, echo, got .intensity."),
     ],
 )
 def test_what_does_not_fit_is_refused(change, message):
-    given = {"image": np.zeros(SONAR.shape, np.float32), "start": sj.Pose(2.3, 0.0, 0.0), "mask": None} | change
+    given = {"image": np.zeros(SONAR.shape, np.float32), "start": sj.Pose(2.3, 0.0, 0.0)} | change
     mesh = sj.objects.brick()
     with pytest.raises(sj.SonarjaxError, match=message):
-        sj.refine_yaw(given["image"], mesh, SONAR, given["start"], mask=given["mask"])
+        sj.refine_yaw(given.pop("image"), mesh, SONAR, given.pop("start"), **given)
 
 
 def test_blur_keeps_a_constant_and_spreads_as_scipy_does():

@@ -1,0 +1,96 @@
+"""The echo template: its derivatives, and what it is worth on frames of a sensor, whose bounce is found too."""
+
+import math
+from dataclasses import replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import sonarjax as sj
+from sonarjax.recognize import ON_FRAME, refine_on_frame
+from sonarjax.refine.objective import Problem
+from sonarjax.refine.template import draw, draw_with_slope
+from sonarjax.render import Window, place_window, window_shape
+from sonarjax.sensor import SensorModel, observe_scene
+
+SONAR = sj.Sonar.preset("didson-hf", tilt=math.radians(20.0), height=0.9)
+YAWS = np.radians([11.0, 77.0, 141.0, 218.0, 303.0]).astype(np.float32)
+X, Y = 2.3, 0.05
+QUIET = replace(SensorModel.nominal(), speckle=0.0, texture=0.0)  # but with its bounce on the floor
+
+
+@pytest.fixture(scope="module")
+def mesh():
+    return sj.objects.target()
+
+
+@pytest.fixture(scope="module")
+def seen(mesh):
+    """Frames (yaw, range, beam) of a sensor without speckle, and the semantic images behind them."""
+
+    def observed(yaw, key):
+        image, frame = observe_scene(mesh, sj.Pose(X, Y, yaw), SONAR, QUIET, key=key)
+        return image, frame.semantic()
+
+    keys = jax.random.split(jax.random.key(0), len(YAWS))
+    return jax.jit(lambda *jobs: jax.lax.map(lambda job: observed(*job), jobs))(jnp.asarray(YAWS), keys)
+
+
+def starts():
+    off = np.random.default_rng(0).uniform(-1, 1, (3, len(YAWS))) * [[math.radians(4)], [0.01], [0.01]]
+    yaw, x, y = (off + np.stack([YAWS, np.full_like(YAWS, X), np.full_like(YAWS, Y)])).astype(np.float32)
+    return sj.Pose(x, y, yaw)
+
+
+def error_deg(found):
+    return np.degrees(np.abs((np.asarray(found.yaw) - YAWS + np.pi) % (2 * np.pi) - np.pi))
+
+
+def test_frames_of_a_sensor_give_a_better_yaw_than_by_the_semantic_template(mesh, seen):
+    semantic, echo = (error_deg(sj.refine_yaw(seen[0], mesh, SONAR, starts(), **way)) for way in ON_FRAME)
+    print(f"\nsemantic {semantic.round(2)}°, echo {echo.round(2)}°")
+    assert echo.max() < 0.4 < semantic.max()
+    assert echo.mean() < 0.5 * semantic.mean()
+
+
+def test_the_template_that_fits_is_chosen(mesh, seen):
+    for frames, way in zip(seen, reversed(ON_FRAME), strict=True):
+        chosen, expected = (f(frames[0], mesh, SONAR, pick(starts(), 0)) for f in (refine_on_frame, refined_by(way)))
+        assert float(chosen.yaw) == float(expected.yaw) and float(chosen.score) == float(expected.score)
+
+
+def pick(pose, index):
+    return sj.Pose(pose.x[index], pose.y[index], pose.yaw[index])
+
+
+def refined_by(way):
+    return lambda image, mesh, sonar, start: sj.refine_yaw(image, mesh, sonar, start, **way)
+
+
+def test_derivatives_against_central_differences(mesh):
+    """By yaw, x and y of a finer render, as far as the visible edges follow; by the bounce's energy exactly."""
+    shape = window_shape(mesh, SONAR, X)
+    window = Window(*place_window(shape, mesh, SONAR, X, Y)[:2], shape)
+    start = sj.Pose(*(jnp.float32(v) for v in (X, Y, 0.4)))
+    problem = Problem(jnp.zeros(shape), jnp.ones(shape), start, window, jnp.float32(0))
+    at = jnp.array([0.0, 0.0, 0.0, 0.3])
+    picture, slope = jax.jit(lambda at: draw_with_slope(problem, mesh, SONAR, at, 2, "echo"))(at)
+    np.testing.assert_allclose(picture, draw(problem, mesh, SONAR, at, 2, "echo"), atol=1e-3)
+    drawn = jax.jit(partial(draw, problem, mesh, SONAR, sub_beams=8, template="echo"))
+    # Short steps: the stored value is the fourth root of an energy that is narrow in range.
+    for k, (step, limit) in enumerate([(6e-4, 0.2), (3e-4, 0.1), (3e-4, 0.3), (1e-2, 0.01)]):
+        moved = step * jnp.eye(4)[k]
+        expected = smooth((drawn(at + moved) - drawn(at - moved)) / (2 * step))
+        off = np.linalg.norm(smooth(slope[k]) - expected) / np.linalg.norm(expected)
+        print(f"number {k}: {off:.3f} off")
+        assert off < limit
+
+
+def smooth(image):
+    """Blurred as the solver sees it: where an edge passes a pixel, differences of single pixels are rough."""
+    from scipy.ndimage import gaussian_filter
+
+    return gaussian_filter(np.asarray(image), (2.0, 0.8))
