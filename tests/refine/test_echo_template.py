@@ -71,15 +71,15 @@ def refined_by(way):
 
 
 def test_derivatives_against_central_differences(mesh):
-    """By yaw, x and y of a finer render, as far as the visible edges follow; by the bounce's energy exactly."""
+    """By yaw, x and y as far as the visible edges follow; by the bounce's energy exactly."""
     shape = window_shape(mesh, SONAR, X)
     window = Window(*place_window(shape, mesh, SONAR, X, Y)[:2], shape)
     start = sj.Pose(*(jnp.float32(v) for v in (X, Y, 0.4)))
     problem = Problem(jnp.zeros(shape), jnp.ones(shape), start, window, jnp.float32(0))
     at = jnp.array([0.0, 0.0, 0.0, 0.3])
     picture, slope = jax.jit(lambda at: draw_with_slope(problem, mesh, SONAR, at, 2, "echo"))(at)
-    np.testing.assert_allclose(picture, draw(problem, mesh, SONAR, at, 2, "echo"), atol=1e-3)
-    drawn = jax.jit(partial(draw, problem, mesh, SONAR, sub_beams=8, template="echo"))
+    drawn = jax.jit(partial(draw, problem, mesh, SONAR, sub_beams=2, template="echo"))
+    np.testing.assert_allclose(picture, drawn(at), atol=1e-3)  # other fusions, other roundings
     # Short steps: the stored value is the fourth root of an energy that is narrow in range.
     for k, (step, limit) in enumerate([(6e-4, 0.2), (3e-4, 0.1), (3e-4, 0.3), (1e-2, 0.01)]):
         moved = step * jnp.eye(4)[k]
