@@ -42,7 +42,7 @@ ON_FRAME: tuple[dict[str, Any], ...] = (
     REFINEMENT | {"blurs": (1.0, 0.5), "iterations": 3, "template": "echo"},
 )
 """How it then goes on with the frame itself: a map says what is where, but its edges are blunt, and all of an object is
-equally bright in it. The echo fits a sonar's frame (on validation frames a median of 0.3° instead of 0.9°), the
+equally bright in it. The echo fits a sonar's frame (on validation frames a median of 0.3° instead of 0.5°), the
 semantic image one that was drawn without a sensor; the better score decides (experiments/fit_refinement.py)."""
 UNMODELLED_YAW = math.radians(0.5)
 """Standard deviation of yaw [rad] that a frame does not show: bounces, brightness and speckle that the echo template

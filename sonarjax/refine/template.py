@@ -24,7 +24,7 @@ BACKGROUND = 0.5  # of the semantic image
 NOMINAL = SensorModel.nominal()  # how bright an echo is beside floor and shadow, and how it is stored
 OBJECT_GAIN = 10 ** (NOMINAL.object_gain / 10)
 BESIDES: dict[str, tuple[tuple[float, float], ...]] = {"semantic": (), "echo": ((0.0, 1.0),)}
-"""The templates, and the bounds of what they need besides yaw, x and y: the energy that a bounce on the floor leaves"""
+"""The templates, and bounds of what each needs besides yaw, x and y: the energy that a bounce on the floor leaves."""
 
 
 def labelled(share: Float[Array, "*batch"], sharpness: Float[Array, ""]) -> Float[Array, "*batch"]:

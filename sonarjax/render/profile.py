@@ -111,7 +111,7 @@ def find_outline(
     shown = solid & lit
     goes_on = _previous(shown) & same_range
     if by_facet:
-        normal = line / jnp.sqrt((line**2).sum(-1, keepdims=True) + 1e-24)  # of the surface as cut by the slice
+        normal = _normal(line)
         before = jnp.pad(normal[:, :-1], ((0, 0), (1, 0), (0, 0)))
         goes_on &= (normal * before).sum(-1) > SMOOTH_COSINE
     run = _chain(shown, shown & ~goes_on, items[0])
@@ -147,6 +147,11 @@ def find_outline(
 
 def _of_candidate(values: Float[Array, "slab candidate 2"], index: Int[Array, "slab piece"]) -> Array:
     return jnp.take_along_axis(values, jnp.maximum(index, 0)[..., None], axis=1)
+
+
+def _normal(line: Float[Array, "slab piece 2"]) -> Float[Array, "slab piece 2"]:
+    """Unit normals of surfaces as they are cut by a slice, from their lines (a, b)."""
+    return line / jnp.sqrt((line**2).sum(-1, keepdims=True) + 1e-24)
 
 
 def _previous(values: Array) -> Array:
@@ -216,7 +221,7 @@ def _smooth_sides(pieces: Pieces, segments: Segments) -> tuple[Bool[Array, "slab
     after = jnp.pad(after[:, 1:], ((0, 0), (0, 1)), constant_values=count)
     line = _of_candidate(segments.line, pieces.winner)
     start, end = (piece_range(line, pieces.tau[..., k]) for k in (0, 1))
-    normal = line / jnp.sqrt((line**2).sum(-1, keepdims=True) + 1e-24)  # of the surface as cut by the slice
+    normal = _normal(line)
     place = jnp.maximum(before, 0)
     straight = (normal * jnp.take_along_axis(normal, place[..., None], axis=1)).sum(-1) > SMOOTH_COSINE
     near = jnp.abs(jnp.take_along_axis(end, place, axis=1) - start) < GAP * start

@@ -135,7 +135,7 @@ def render_echo(
 
     Times the spreading that eq. 2 has for each range this is the object's energy as `render_window` has it, at the cost
     of its highlight: a facet's elevation is spread evenly over the ranges that it shows in a slab. How much elevation
-    that is carries no gradient, only where it falls.
+    that is carries no gradient, only where it falls, and does not depend on incidence (`sonar.lambert` plays no part).
     """
     rows = window.shape[0]
     scene = in_sonar_frame(mesh, pose, sonar)
