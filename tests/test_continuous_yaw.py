@@ -12,7 +12,7 @@ import pytest
 from experiments import continuous_yaw, symmetric_objects, yaw_basin, yaw_landscape
 from sonarjax.io import SonarjaxError
 from sonarjax.refine.objective import Problem, make_blur
-from sonarjax.refine.solver import _linear_step
+from sonarjax.refine.solver import TRUST, _linear_step
 from sonarjax.render import Window
 from sonarjax.scene import Pose
 
@@ -66,7 +66,9 @@ def test_the_loss_is_the_one_that_the_solver_minimises(rng):
     slope = jnp.asarray(0.1 * rng.normal(size=(3, *shape)), jnp.float32)
     problem = Problem(image, jnp.ones(shape), Pose(), Window(0, 0, shape), jnp.float32(0.0))
     blur = make_blur(shape, 1.5)
-    _, cost = jax.jit(lambda *images: _linear_step(problem, blur, *images))(drawn, slope)  # compiled: kept on disk
+    _, cost = jax.jit(lambda *images: _linear_step(problem, blur, *images, jnp.asarray(TRUST[:3])))(
+        drawn, slope
+    )  # compiled: kept on disk
     assert float(yaw_landscape.loss(problem, blur, drawn)) == pytest.approx(float(cost), rel=1e-4)
     assert float(yaw_landscape.loss(problem, blur, image)) == pytest.approx(0.0, abs=1e-5)
 

@@ -21,8 +21,8 @@ from sonarjax.sonar import Sonar
 
 ELEVATIONS = 64
 BACKGROUND = 0.5  # of the semantic image
-NOMINAL = SensorModel.nominal()  # how bright an echo is beside floor and shadow, and how it is stored
-OBJECT_GAIN = 10 ** (NOMINAL.object_gain / 10)
+DEVICE = SensorModel()  # the nominal device: how bright an echo is beside floor and shadow, and how it is stored
+OBJECT_GAIN = 10 ** (DEVICE.object_gain / 10)
 BESIDES: dict[str, tuple[tuple[float, float], ...]] = {"semantic": (), "echo": ((0.0, 1.0),)}
 """The templates, and bounds of what each needs besides yaw, x and y: the energy that a bounce on the floor leaves."""
 
@@ -71,7 +71,7 @@ def draw_with_slope(
 def _echo(mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, sub_beams: int, bounce: Array) -> Array:
     """What a nominal device stores of the object, its bounce on the floor and its shadow (range, beam)."""
     direct, shadow = render_echo(mesh, pose, sonar, window, sub_beams, ELEVATIONS)
-    mirrored = without_floor(bounce_mesh(mesh, pose, sonar, 0.0, NOMINAL.floor_path), sonar)
+    mirrored = without_floor(bounce_mesh(mesh, pose, sonar, 0.0, DEVICE.floor_path), sonar)
     bounced, _ = render_echo(*mirrored, window, sub_beams, ELEVATIONS)
     ranges = sonar.range_min + sonar.range_bin * (window.row + jnp.arange(window.shape[0]) + 0.5)
     energy = OBJECT_GAIN * (direct + bounce * bounced) / floor_angle(ranges, sonar)[:, None]
@@ -80,4 +80,4 @@ def _echo(mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, sub_beams: int, 
 
 def _stored(energy: Any) -> Any:
     """Grey value of `energy`, in units of the bare floor's."""
-    return (energy + NOMINAL.noise) ** NOMINAL.exponent
+    return (energy + DEVICE.noise) ** DEVICE.exponent
