@@ -70,9 +70,12 @@ def draw_with_slope(
 
 def _echo(mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, sub_beams: int, bounce: Array) -> Array:
     """What a nominal device stores of the object, its bounce on the floor and its shadow (range, beam)."""
-    direct, shadow = render_echo(mesh, pose, sonar, window, sub_beams, ELEVATIONS)
-    mirrored = without_floor(bounce_mesh(mesh, pose, sonar, 0.0, DEVICE.floor_path), sonar)
-    bounced, _ = render_echo(*mirrored, window, sub_beams, ELEVATIONS)
+    mirrored, lift, lifted = without_floor(bounce_mesh(mesh, pose, sonar, 0.0, DEVICE.floor_path), sonar)
+    views = (mesh, pose, sonar), (mirrored, lift, lifted.replace(floor=sonar.floor))
+    # One after the other, so that the renderer is compiled once. The mirror image's own shadow is not looked at.
+    both = jax.tree.map(lambda *v: jnp.stack([jnp.asarray(x) for x in v]), *views)
+    echoes, shadows = jax.lax.map(lambda view: render_echo(*view, window, sub_beams, ELEVATIONS), both)
+    (direct, bounced), shadow = echoes, shadows[0]
     ranges = sonar.range_min + sonar.range_bin * (window.row + jnp.arange(window.shape[0]) + 0.5)
     energy = OBJECT_GAIN * (direct + bounce * bounced) / floor_angle(ranges, sonar)[:, None]
     return _stored(energy + 1 - shadow) - _stored(1.0)
