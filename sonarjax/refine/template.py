@@ -6,6 +6,7 @@ facet as bright as eq. 2 makes it, and what comes by way of the floor, as bars i
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -71,11 +72,18 @@ def draw_with_slope(
 def _echo(mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, sub_beams: int, bounce: Array) -> Array:
     """What a nominal device stores of the object, its bounce on the floor and its shadow (range, beam)."""
     mirrored, lift, lifted = without_floor(bounce_mesh(mesh, pose, sonar, 0.0, DEVICE.floor_path), sonar)
-    views = (mesh, pose, sonar), (mirrored, lift, lifted.replace(floor=sonar.floor))
-    # One after the other, so that the renderer is compiled once. The mirror image's own shadow is not looked at.
-    both = jax.tree.map(lambda *v: jnp.stack([jnp.asarray(x) for x in v]), *views)
-    echoes, shadows = jax.lax.map(lambda view: render_echo(*view, window, sub_beams, ELEVATIONS), both)
-    (direct, bounced), shadow = echoes, shadows[0]
+    direct_view = pose.to_ground(mesh.vertices), mesh.faces, jnp.zeros(()), sonar.height, sonar.elevation_aperture
+    bounced_view = mirrored.vertices, mirrored.faces, lift.z, lifted.height, lifted.elevation_aperture
+
+    def seen(view: tuple[Array, ...]) -> tuple[Array, Array]:
+        vertices, faces, lift, height, aperture = view
+        placed = replace(mesh, vertices=vertices, faces=faces)
+        turned = sonar.replace(height=height, elevation_aperture=aperture)
+        return render_echo(placed, Pose(z=lift), turned, window, sub_beams, ELEVATIONS)
+
+    # One after the other, so that the renderer is compiled once; the mirror image's shadow is not looked at.
+    views = (jnp.stack([jnp.asarray(v) for v in pair]) for pair in zip(direct_view, bounced_view, strict=True))
+    (direct, bounced), (shadow, _) = jax.lax.map(seen, tuple(views))
     ranges = sonar.range_min + sonar.range_bin * (window.row + jnp.arange(window.shape[0]) + 0.5)
     energy = OBJECT_GAIN * (direct + bounce * bounced) / floor_angle(ranges, sonar)[:, None]
     return _stored(energy + 1 - shadow) - _stored(1.0)
