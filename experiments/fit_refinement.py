@@ -76,15 +76,21 @@ class Way(NamedTuple):
 
 
 USED = [Way("both", *(({"template": "semantic"} | way)[name] for name in Way._fields[1:])) for way in ON_FRAME]
+AS_USED = {way.get("template", "semantic"): way for way in ON_FRAME}  # with what is not compared, as the iterations
 BETTER = USED[0]._replace(template="better")  # what `recognize` does: of both, the one with the better score
 
 
-def ways(most: int) -> list[Way]:
-    """What is compared, `most` settings for each image and template; 0 for all. Only `semantic` has a sharpness."""
+def ways(most: int, segmenter: str) -> list[Way]:
+    """What is compared, `most` settings for each image and template; 0 for all. Only `semantic` has a sharpness.
+
+    Without a segmenter the map is the frame.
+    """
     settings = list(itertools.product(BLURS, SHARPNESSES, MARGINS))[: most or None]
     plain = [setting for setting in settings if setting[1] == 0.0]
     chosen = {("map", "semantic"): settings, ("frame", "semantic"): settings, ("both", "semantic"): settings}
     chosen |= {("frame", "echo"): plain, ("both", "echo"): plain}
+    if segmenter == "none":
+        del chosen["map", "semantic"]
     compared = [Way(*what, *setting) for what, all_of_it in chosen.items() for setting in all_of_it]
     return compared + [way for way in USED if way not in compared]
 
@@ -136,10 +142,10 @@ def errors(frames: list[TestFrame], segmenter: str, most: int) -> dict[Way, np.n
         pose = sj.Pose(start.x, start.y, start.yaw)
         begun = {"map": (semantic, pose), "frame": (frame.image, pose)}
         begun["both"] = frame.image, sj.refine_yaw(semantic, mesh, sonar, pose, **REFINEMENT).pose
-        for way in ways(most):
+        for way in ways(most, segmenter):
             image, at = begun[way.on]
             settings = {name: getattr(way, name) for name in Way._fields[1:]}
-            estimate = sj.refine_yaw(image, mesh, sonar, at, **REFINEMENT | settings)
+            estimate = sj.refine_yaw(image, mesh, sonar, at, **AS_USED[way.template] | settings)
             error = yaw_error_deg(estimate.yaw, frame.yaw)
             found[way].append((float(error), math.degrees(float(estimate.yaw_std)), float(estimate.score)))
         found[BETTER].append(max((found[way][-1] for way in USED), key=lambda one: one[2]))

@@ -36,7 +36,7 @@ REFINEMENT: dict[str, Any] = {
     "margin": (MARGIN_BINS, MARGIN_BEAMS),
     "sharpness": 0.0,
 }
-"""How `recognize` calls `refine_yaw`."""
+"""How `recognize` refines on the segmenter's map."""
 ON_FRAME: tuple[dict[str, Any], ...] = (
     REFINEMENT | {"blurs": (1.0, 0.5)},
     REFINEMENT | {"blurs": (1.0, 0.5), "iterations": 3, "template": "echo"},

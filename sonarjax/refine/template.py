@@ -18,6 +18,7 @@ from sonarjax.render import Window, floor_angle, render_echo, render_window, sem
 from sonarjax.scene import Mesh, Pose
 from sonarjax.sensor import SensorModel
 from sonarjax.sensor.multipath import bounce_mesh, without_floor
+from sonarjax.sensor.propagation import range_middles
 from sonarjax.sonar import Sonar
 
 ELEVATIONS = 64
@@ -84,7 +85,7 @@ def _echo(mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, sub_beams: int, 
     # One after the other, so that the renderer is compiled once; the mirror image's shadow is not looked at.
     views = (jnp.stack([jnp.asarray(v) for v in pair]) for pair in zip(direct_view, bounced_view, strict=True))
     (direct, bounced), (shadow, _) = jax.lax.map(seen, tuple(views))
-    ranges = sonar.range_min + sonar.range_bin * (window.row + jnp.arange(window.shape[0]) + 0.5)
+    ranges = jax.lax.dynamic_slice(range_middles(sonar), (window.row,), window.shape[:1])
     energy = OBJECT_GAIN * (direct + bounce * bounced) / floor_angle(ranges, sonar)[:, None]
     return _stored(energy + 1 - shadow) - _stored(1.0)
 

@@ -83,8 +83,8 @@ def refine_yaw(
     pixel is of one class or another; 0 fits a grey image, which mixes them. With a `margin` (bins, beams) only the box
     of the start's template and so much around it counts: for a grey image, whose floor is no even background, and a
     start that is good already. The `template` is the semantic image, or the `echo` for a frame as the device stored
-    it: shadow, floor, and each facet as bright as the elevation that its echo gathers makes it (`sharpness` plays no
-    part then).
+    it: shadow, floor, each facet as bright as the elevation that its echo gathers makes it, and the object's bounce on
+    the floor, whose strength is fitted too (`sharpness` plays no part then).
 
     Raises SonarjaxError when the shapes do not fit the sonar, or for an unknown template.
     """

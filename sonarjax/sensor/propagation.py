@@ -11,6 +11,7 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from sonarjax.render import floor_angle
 from sonarjax.sonar import Sonar
 
 MAX_PULSE_BINS = 9
@@ -108,9 +109,8 @@ def reference_range(sonar: Sonar) -> Float[Array, ""]:
 def reference_energy(sonar: Sonar) -> Float[Array, ""]:
     """Energy [rad/m²] of a bin of bare floor at the reference range, as the renderer counts it (eq. 2, k = 1)."""
     r = reference_range(sonar)
-    angle = sonar.range_bin * sonar.height / (r * jnp.sqrt(r * r - jnp.square(sonar.height)))
     absorbed = absorption_loss(r, sonar.absorption) * (sonar.height / r) ** jnp.asarray(sonar.lambert, jnp.float32)
-    return angle * r ** (-jnp.asarray(sonar.spreading_exponent, jnp.float32)) * absorbed
+    return floor_angle(r, sonar) * r ** (-jnp.asarray(sonar.spreading_exponent, jnp.float32)) * absorbed
 
 
 def pulse_blur(image: Float[Array, "range beam"], pulse_bins: Any) -> Float[Array, "range beam"]:
