@@ -1,4 +1,7 @@
-"""Spreading a batch over the processor's cores: XLA runs the small operations of one view on one core only."""
+"""How compiled functions use the processor: compiler options, and a batch spread over the cores.
+
+XLA runs the small operations of one view on one core only, and takes seconds to compile them.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +14,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-SINGLE_CORE = {"xla_cpu_multi_thread_eigen": False}
-"""Compiler options of a function that `on_all_cores` calls: its small kernels only lose by being shared out."""
+# The emitters of XLA's older CPU compiler take half the time for the renderer, and what they make is no slower; newer
+# compilers know the option no more.
+QUICK: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False} if jax.__version_info__ < (0, 11) else {}
+"""Compiler options of a function that renders. JAX takes options for the outermost compiled function only."""
+SINGLE_CORE = QUICK | {"xla_cpu_multi_thread_eigen": False}
+"""Those of one that `on_all_cores` calls too: its small kernels only lose by being shared out."""
+
+
+def is_traced(*trees: Any) -> bool:
+    """True where a leaf of these pytrees is being traced: a function around this one is compiled or differentiated."""
+    return any(isinstance(v, jax.core.Tracer) for v in jax.tree.leaves(trees))
 
 
 def on_all_cores(function: Callable[[Any], Any], batch: Any, most: int | None = None) -> Any:
@@ -23,7 +35,7 @@ def on_all_cores(function: Callable[[Any], Any], batch: Any, most: int | None = 
     """
     leaves = jax.tree.leaves(batch)
     count = len(leaves[0])
-    if count == 1 or jax.default_backend() != "cpu" or any(isinstance(v, jax.core.Tracer) for v in leaves):
+    if count == 1 or jax.default_backend() != "cpu" or is_traced(leaves):
         return function(batch)
     parts = max(min(_cores(), count), -(-count // (most or count)))
     size = -(-count // parts)

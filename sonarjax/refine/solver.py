@@ -6,15 +6,15 @@ linear model inside a trust region, which costs next to nothing beside a render.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxopt import LevenbergMarquardt
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
-from sonarjax.refine.objective import ROW_STRIDE, Blur, Problem, make_blur, normalised
+from sonarjax.refine.objective import ROW_STRIDE, Blur, Problem, box_around, make_blur, normalised
 from sonarjax.refine.template import draw_with_slope
 from sonarjax.scene import Mesh
 from sonarjax.sonar import Sonar
@@ -36,13 +36,18 @@ class Found(NamedTuple):
     """Its derivatives by each number of `step`."""
     remaining: Float[Array, "step"]
     """The step that the linear model would still take from there, as a share of the trust region."""
+    weight: Float[Array, "range beam"]
+    """1 where a pixel counted: it was measured, and lies inside the start's margin if there is one."""
 
 
 def coarse_to_fine(
     problem: Problem, mesh: Mesh, sonar: Sonar, bounds: Float[Array, "2 step"],
-    blurs: Float[Array, "blur"], iterations: int, sub_beams: int, template: str,
+    blurs: Float[Array, "blur"], iterations: int, sub_beams: int, template: str, margin: tuple[int, int] | None,
 ) -> Found:  # fmt: skip
-    """Minimise 1 − NCC for each blur [range bins] in turn, `iterations` times each, between `bounds` [rad, m, m, 1]."""
+    """Minimise 1 − NCC for each blur [range bins] in turn, `iterations` times each, between `bounds` [rad, m, m, 1].
+
+    With a `margin` (bins, beams) only the box of the first template and so much around it counts.
+    """
     shape = (problem.image.shape[0], problem.image.shape[1])
     ladder = jax.vmap(lambda sigma: make_blur(shape, sigma))(blurs)
     level = jnp.repeat(jnp.arange(len(blurs)), iterations)
@@ -51,18 +56,23 @@ def coarse_to_fine(
     start = jnp.zeros(bounds.shape[1])
     trust = jnp.asarray(TRUST[: len(start)])
 
-    def iterate(carry: tuple[Array, Found], level: Array) -> tuple[tuple[Array, Found], None]:
-        step, best = carry
+    def iterate(carry: tuple[Array, Array, Found], turn: tuple[Array, Bool[Array, ""]]) -> tuple[Any, None]:
+        step, weight, best = carry
+        level, first = turn
         blur = jax.tree.map(lambda v: v[level], ladder)
         drawn, slope = draw_with_slope(problem, mesh, sonar, step, sub_beams, template)
-        move, cost = _linear_step(problem, blur, drawn, slope, trust)
-        here = Found(cost, step, drawn, slope, move / trust)
+        if margin is not None:  # here rather than before the loop, which would compile the renderer twice
+            weight = jnp.where(first, weight * box_around(drawn, margin), weight)
+        move, cost = _linear_step(problem._replace(weight=weight), blur, drawn, slope, trust)
+        here = Found(cost, step, drawn, slope, move / trust, weight)
         better = (level == len(blurs) - 1) & (cost < best.cost)
         best = jax.tree.map(lambda new, old: jnp.where(better, new, old), here, best)
-        return (jnp.clip(step + move, *bounds), best), None
+        return (jnp.clip(step + move, *bounds), weight, best), None
 
-    none = Found(jnp.asarray(jnp.inf), start, jnp.zeros(shape), jnp.zeros((len(start), *shape)), jnp.ones_like(start))
-    (_, best), _ = jax.lax.scan(iterate, (start, none), level)
+    dark, flat = jnp.zeros(shape), jnp.zeros((len(start), *shape))
+    none = Found(jnp.asarray(jnp.inf), start, dark, flat, jnp.ones_like(start), problem.weight)
+    turns = level, jnp.arange(len(level)) == 0
+    (_, _, best), _ = jax.lax.scan(iterate, (start, problem.weight, none), turns)
     return best
 
 

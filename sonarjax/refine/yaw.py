@@ -11,11 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from sonarjax._cores import SINGLE_CORE, on_all_cores
+from sonarjax._cores import SINGLE_CORE, is_traced, on_all_cores
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.refine.objective import Problem, box_around, crop_score, normalised
+from sonarjax.refine.objective import Problem, crop_score, normalised
 from sonarjax.refine.solver import Found, coarse_to_fine
-from sonarjax.refine.template import BESIDES, draw, pose_at
+from sonarjax.refine.template import BESIDES, pose_at
 from sonarjax.render import Window, object_columns, place_window, window_shape
 from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS
 from sonarjax.scene import Mesh, Pose
@@ -108,8 +108,7 @@ def refine_yaw(
     which = jnp.arange(count) // max(count // max(math.prod(axes[:frames]), 1), 1)
     images, weights = (v.reshape(-1, *sonar.shape) for v in (image, weight))
     limits, sharp, sigmas = _limits(bounds, template), jnp.float32(sharpness), jnp.asarray(blurs, jnp.float32)
-    traced = any(isinstance(v, jax.core.Tracer) for v in jax.tree.leaves((images, weights, starts, mesh, sonar)))
-    refine = _refine if traced else _refine_compiled  # compiler options are for the outermost function only
+    refine = _refine if is_traced(images, weights, starts, mesh, sonar) else _refine_compiled
 
     def part(jobs: tuple[Array, Pose]) -> YawEstimate:
         return refine(
@@ -123,7 +122,7 @@ def refine_yaw(
 
 def _window_size(mesh: Mesh, sonar: Sonar, start: Pose, bounds: tuple[float, ...]) -> tuple[tuple[int, int], int]:
     """The window that holds every start and the beams the object may touch; the frame's where tracing hides them."""
-    if any(isinstance(v, jax.core.Tracer) for v in jax.tree.leaves((start, sonar))):
+    if is_traced(start, sonar):
         return sonar.shape, sonar.n_beams
     ground = np.hypot(np.asarray(start.x), np.asarray(start.y))
     nearest = max(float(ground.min()) - max(bounds[1:]), 0.0)
@@ -152,11 +151,8 @@ def _refine(
         part, measured = (jax.lax.dynamic_slice(v, corner, (1, *shape))[0] for v in (images, weights))
         inner = Window(window.row, window.column, shape, beams)
         problem = Problem(part, measured, start, inner, sharpness)
-        if margin is not None:
-            drawn = draw(problem, mesh, sonar, jnp.zeros(bounds.shape[1]), sub_beams, template)
-            problem = problem._replace(weight=measured * box_around(drawn, margin))
-        found = coarse_to_fine(problem, mesh, sonar, bounds, blurs, iterations, sub_beams, template)
-        return _estimate(problem, found, bounds)
+        found = coarse_to_fine(problem, mesh, sonar, bounds, blurs, iterations, sub_beams, template, margin)
+        return _estimate(problem._replace(weight=found.weight), found, bounds)
 
     # One after another on a CPU, where a batch would only spill the caches; side by side on an accelerator.
     side_by_side = None if jax.default_backend() == "cpu" else len(jobs[0])
