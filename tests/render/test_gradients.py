@@ -18,7 +18,7 @@ SHAPE = (260, 52)
 SUB_BEAMS, ELEVATIONS = 2, 64
 CONVERGED = 6  # sub-beams of the render that is differenced
 MESHES = {"target": objects.target, "ball": objects.ball, "brick": objects.brick}
-SCENES = 8  # a mesh
+SCENES = 6  # a mesh
 NAMES = ("yaw", "x", "y", "tilt", "height", "shape")
 # Three steps of each, averaged: longer than the image's own roughness, shorter than its curvature.
 STEPS = np.array(
@@ -195,7 +195,7 @@ def value_and_gradient(mesh, poses):
     return jax.lax.map(one, poses)
 
 
-def special_poses(rng, count=2000):
+def special_poses(rng, count=1000):
     """Random poses, and those at which something degenerates."""
     q = np.zeros((count, 8))
     q[:, 0], q[:, 1], q[:, 2] = rng.uniform(-1, 4.5, count), rng.uniform(-1, 1, count), rng.uniform(-7, 7, count)
