@@ -31,10 +31,11 @@ def draw(runs: Path) -> Figure:
     for key, (label, marker, color) in IOU.items():
         axes[0].plot([row[key] for row in rows], place, marker, color=color, label=label)
     axes[1].plot([row["psnr_gain_db"] for row in rows], place, "o", color=style.BLUE)
-    for ax, key, title in zip(axes, ("iou_mean", "psnr_gain_db"), ("IoU", "PSNR gain [dB]"), strict=False):
+    for ax, key, title in zip(axes, ("iou_mean", "psnr_gain_db"), ("IoU", "PSNR gain"), strict=False):
         ax.axvline(rows[0][key], color=style.GREY, linewidth=0.8)
         ax.set(title=title, yticks=place, yticklabels=names if ax is axes[0] else [])
         ax.grid(True)
+    axes[1].set_xlabel("[dB]")
     axes[0].legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=3, handletextpad=0.1, columnspacing=0.6)
     for number, row in enumerate(rows):
         color, line = style.PALETTE[number % len(style.PALETTE)], LINES[number // len(style.PALETTE) % len(LINES)]
