@@ -40,7 +40,7 @@ def draw(runs: Path) -> Figure:
             style.plain_log(ax.yaxis)
         else:
             ax.set_ylim(bottom=0)
-    axes[0].legend(loc="upper left", handlelength=1.4)
+    axes[1].legend(*axes[0].get_legend_handles_labels(), loc="upper left", handlelength=1.4)  # room is there
     style.letters(axes)
     return figure
 
