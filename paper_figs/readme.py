@@ -80,11 +80,11 @@ def own_table(name: str, report: dict[str, Any]) -> str:
 
 
 def origin(reports: list[dict[str, Any]]) -> str:
-    """Command, seeds, date and code of the runs."""
+    """Command with all its options, seeds, date and code of the runs."""
     report, seeds = reports[0], [str(one["seed"]) for one in reports]
     drawn = f"seed {seeds[0]}" if len(seeds) == 1 else f"seeds {', '.join(seeds)}: mean ± largest deviation"
     code = f"commit {report['git']}" if report["git"] else f"code {report['code']}"
-    return f"`{command(report['experiment'])}`, {drawn}; {report['date']}, {code}"
+    return f"`{report['command']}`, {drawn}; {report['date']}, {code}"
 
 
 def spaced(text: str) -> str:
