@@ -53,6 +53,8 @@ class Settings:
     """Yaw step of each set [deg]; 10 gives the 288 frames of §4.1."""
     yaw_offset_deg: float = 5.0
     """Uniform offset of each yaw within ± this [deg]."""
+    sonar_tilts_deg: tuple[float, ...] = TILTS_DEG
+    """True tilts of the sonar [deg], of those of §4.1."""
 
 
 class Error(NamedTuple):
@@ -68,7 +70,8 @@ class Error(NamedTuple):
 
 def run(settings: Settings, job: Job) -> Report:
     """One row for each kind of map and each error; the right geometry stands in both series."""
-    frames = paper_frames(job.seed, step_deg=settings.step_deg, yaw_offset_deg=settings.yaw_offset_deg)
+    step, offset, tilts = settings.step_deg, settings.yaw_offset_deg, settings.sonar_tilts_deg
+    frames = paper_frames(job.seed, step_deg=step, yaw_offset_deg=offset, tilts_deg=tilts)
     errors = [Error("tilt", off, 0.0) for off in settings.tilts_deg]
     errors += [Error("distance", 0.0, off) for off in settings.distances_m]
     cases = {f"{error.wrong} {error.tilt_error_deg + error.distance_error_m:+g}": error for error in errors}
@@ -85,7 +88,7 @@ def run(settings: Settings, job: Job) -> Report:
 def _measure(
     maps: Mapping[str, Sequence[np.ndarray]], frames: Sequence[TestFrame], error: Error
 ) -> dict[str, dict[str, float]]:
-    banks = {tilt: bank_with(error, tilt) for tilt in TILTS_DEG}
+    banks = {tilt: bank_with(error, tilt) for tilt in {frame.tilt_deg for frame in frames}}
     return {name: judged_at_place(scores_at_place(of, frames, banks), frames) for name, of in maps.items()}
 
 
@@ -101,6 +104,5 @@ def table(report: Report) -> str:
 
 
 if __name__ == "__main__":
-    launch(
-        run, Settings, table, smoke={"maps": ("truth",), "tilts_deg": (5.0,), "distances_m": (0.3,), "step_deg": 180}
-    )
+    errors = {"tilts_deg": (5.0,), "distances_m": (0.3,)}
+    launch(run, Settings, table, smoke=errors | {"maps": ("truth",), "step_deg": 180, "sonar_tilts_deg": (20.0,)})

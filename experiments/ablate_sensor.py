@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-from experiments.common.frames import paper_frames
+from experiments.common.frames import TILTS_DEG, paper_frames
 from experiments.common.judge import recognize_all
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns
@@ -64,6 +64,8 @@ class Settings:
     """Yaw step of each set [deg]; 10 gives the 288 frames of §4.1."""
     yaw_offset_deg: float = 0.0
     """Uniform offset of each yaw within ± this [deg]; 0 as in the frames that the model was calibrated on."""
+    tilts_deg: tuple[float, ...] = TILTS_DEG
+    """Tilts of the sonar [deg], of those of §4.1."""
 
     def __post_init__(self) -> None:
         """Raises ValueError for a part that there is not."""
@@ -85,7 +87,8 @@ def run(settings: Settings, job: Job) -> Report:
 
 
 def _measure(settings: Settings, seed: int, part: str) -> Sequence[dict[str, str | float]]:
-    frames = paper_frames(seed, step_deg=settings.step_deg, yaw_offset_deg=settings.yaw_offset_deg, model=without(part))
+    step, offset, tilts = settings.step_deg, settings.yaw_offset_deg, settings.tilts_deg
+    frames = paper_frames(seed, step_deg=step, yaw_offset_deg=offset, model=without(part), tilts_deg=tilts)
     return [{"segmenter": name} | row(recognize_all(frames, name), frames) for name in settings.segmenters]
 
 
@@ -95,4 +98,5 @@ def table(report: Report) -> str:
 
 
 if __name__ == "__main__":
-    launch(run, Settings, table, smoke={"parts": ("speckle",), "segmenters": ("none",), "step_deg": 180})
+    small = {"parts": ("speckle",), "segmenters": ("none",), "step_deg": 180, "tilts_deg": (20.0,)}
+    launch(run, Settings, table, smoke=small)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from experiments.common.frames import TestFrame, paper_frames
+from experiments.common.frames import TILTS_DEG, TestFrame, paper_frames
 from experiments.common.judge import judged, recognize_all
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns
@@ -39,13 +39,15 @@ class Settings:
     """Segmenters to compare."""
     step_deg: int = 20
     """Yaw step of each set [deg]; 10 gives the 288 frames of §4.1."""
+    tilts_deg: tuple[float, ...] = TILTS_DEG
+    """Tilts of the sonar [deg], of those of §4.1."""
 
 
 def run(settings: Settings, job: Job) -> Report:
     """One row for each severity and segmenter."""
     rows: list[dict[str, Any]] = []
     for severity in settings.severities:
-        frames = paper_frames(job.seed, step_deg=settings.step_deg, severity=severity)
+        frames = paper_frames(job.seed, step_deg=settings.step_deg, severity=severity, tilts_deg=settings.tilts_deg)
         measure = partial(_measure, frames)
         measured = job.map(measure, settings.segmenters, f"severity {severity:g}")
         rows += [{"severity": severity, "segmenter": name} | values for name, values in measured.items()]
@@ -62,4 +64,5 @@ def table(report: Report) -> str:
 
 
 if __name__ == "__main__":
-    launch(run, Settings, table, smoke={"severities": (1.0,), "segmenters": ("otsu",), "step_deg": 90})
+    small = {"severities": (1.0,), "segmenters": ("otsu",), "step_deg": 90, "tilts_deg": (20.0,)}
+    launch(run, Settings, table, smoke=small)

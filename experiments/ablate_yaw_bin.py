@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 import sonarjax as sj
-from experiments.common.frames import TestFrame, paper_frames, sonar_for
+from experiments.common.frames import TILTS_DEG, TestFrame, paper_frames, sonar_for
 from experiments.common.judge import target
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import HALF_BIN_DEG, columns, summary_deg, yaw_error_deg
@@ -60,6 +60,8 @@ class Settings:
     """Segmenters to compare; truth is the true map, drawn by the renderer that refines: it shows the bins alone."""
     step_deg: int = 20
     """Yaw step of each set [deg]; each frame's yaw is drawn anywhere in its step."""
+    tilts_deg: tuple[float, ...] = TILTS_DEG
+    """Tilts of the sonar [deg], of those of §4.1."""
 
     def __post_init__(self) -> None:
         """Raises ValueError for bins that do not close the circle."""
@@ -78,7 +80,8 @@ class Yaw(NamedTuple):
 
 def run(settings: Settings, job: Job) -> Report:
     """One row for each segmenter and bin width."""
-    every = paper_frames(job.seed, step_deg=settings.step_deg, yaw_offset_deg=settings.step_deg / 2)
+    step, tilts = settings.step_deg, settings.tilts_deg
+    every = paper_frames(job.seed, step_deg=step, yaw_offset_deg=step / 2, tilts_deg=tilts)
     frames = [frame for frame in every if frame.is_target]
     cases = {f"{name}, {width}°": (name, width) for name in settings.segmenters for width in settings.bins_deg}
     measured = job.map(partial(_measure, frames), cases, "yaw bins")
@@ -128,4 +131,5 @@ def table(report: Report) -> str:
 
 
 if __name__ == "__main__":
-    launch(run, Settings, table, smoke={"bins_deg": (30,), "segmenters": ("none",), "step_deg": 180})
+    small = {"bins_deg": (30,), "segmenters": ("none",), "step_deg": 180, "tilts_deg": (20.0,)}
+    launch(run, Settings, table, smoke=small)

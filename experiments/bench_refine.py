@@ -12,7 +12,6 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import jax
@@ -25,6 +24,7 @@ from experiments.common.launch import Report, launch
 from experiments.common.metrics import markdown, yaw_error_deg
 from experiments.common.runs import Job
 from sonarjax import recognize
+from sonarjax._cores import quick_jit
 from sonarjax.refine import refine_yaw
 from sonarjax.refine.yaw import SUB_BEAMS
 from sonarjax.render import place_window, render, semantic_window, window_shape
@@ -57,10 +57,10 @@ def make_frames(mesh: Mesh, sonar: Sonar, count: int, noise: float, seed: int) -
     """Semantic frames (frame, range, beam) with noise, and their poses (frame,)."""
     rng = np.random.default_rng(seed)
     x, y, yaw = rng.uniform([2.2, -0.15, 0.0], [2.4, 0.15, 2 * math.pi], (count, 3)).astype(np.float32).T
-    images = jax.jit(
-        partial(jax.lax.map, lambda p: render(mesh, Pose(p[0], p[1], p[2]), sonar, sub_beams=CONVERGED).semantic())
-    )(np.stack([x, y, yaw], 1))
-    noisy = np.asarray(images) + noise * rng.normal(size=images.shape)
+    images = np.stack(
+        [render(mesh, Pose(*p), sonar, sub_beams=CONVERGED).semantic() for p in zip(x, y, yaw, strict=True)]
+    )
+    noisy = images + noise * rng.normal(size=images.shape)
     return np.clip(noisy, 0, 1).astype(np.float32), Pose(x, y, yaw)
 
 
@@ -104,7 +104,7 @@ def loss_functions(mesh: Mesh, sonar: Sonar, frame: np.ndarray, pose: Pose) -> d
         return ((picture - part) ** 2).sum()
 
     at = jnp.asarray([float(pose.yaw) + 0.1, x + 0.01, y - 0.01], jnp.float32)
-    forward, both = jax.jit(loss), jax.jit(jax.value_and_grad(loss))
+    forward, both = quick_jit(loss), quick_jit(jax.value_and_grad(loss))
     return {"forward": lambda: np.asarray(forward(at)), "value and gradient": lambda: np.asarray(both(at)[1])}
 
 

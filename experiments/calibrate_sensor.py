@@ -17,12 +17,11 @@ from functools import partial
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from tqdm import tqdm
 
 import sonarjax as sj
-from experiments.common.frames import GROUND_RANGE_M, TILTS_DEG, sonar_for
+from experiments.common.frames import GROUND_RANGE_M, TILTS_DEG, observed, sonar_for
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import markdown
 from experiments.common.paper import TABLE_4
@@ -30,7 +29,7 @@ from experiments.common.runs import Job
 from experiments.common.tables import off_diagonal
 from experiments.fit_threshold import VALIDATION_SEED
 from sonarjax.io import write_png
-from sonarjax.sensor import SensorModel, observe_scene
+from sonarjax.sensor import SensorModel
 
 BINS = 36
 SLACK = (6, 2)  # (bins, beams) around the templates' box that the template may slide over
@@ -60,13 +59,10 @@ class Settings:
     """Draw another device of the family for every frame instead of the nominal one."""
 
 
-@partial(jax.jit, static_argnames="drawn")
-def _observed(
-    mesh: sj.Mesh, pose: sj.Pose, sonar: sj.Sonar, severity: jax.Array, drawn: bool, *, key: jax.Array
-) -> jax.Array:
+def _frame(mesh: sj.Mesh, pose: sj.Pose, sonar: sj.Sonar, settings: Settings, *, key: jax.Array) -> jax.Array:
     draw, noise = jax.random.split(key)
-    model = SensorModel.draw(key=draw, severity=severity) if drawn else SensorModel.nominal(severity)
-    return observe_scene(mesh, pose, sonar, model, key=noise)[0]
+    drawn = partial(SensorModel.draw, key=draw) if settings.drawn else SensorModel.nominal
+    return observed(mesh, pose, sonar, drawn(severity=settings.severity), key=noise)[0]
 
 
 def measure(tilt_deg: float, settings: Settings, *, key: jax.Array) -> tuple[dict[str, list[float]], np.ndarray]:
@@ -81,8 +77,8 @@ def measure(tilt_deg: float, settings: Settings, *, key: jax.Array) -> tuple[dic
         for yaw_deg in tqdm(range(0, 360, settings.step_deg), desc=f"{tilt_deg:g}°", leave=False):
             part = jax.random.fold_in(key, yaw_deg * 2 + is_target)
             offset = settings.yaw_offset_deg * float(jax.random.uniform(part, minval=-1.0, maxval=1.0))
-            pose = sj.Pose(*(jnp.float32(v) for v in (x, 0.0, math.radians(yaw_deg + offset))))
-            image = _observed(mesh, pose, sonar, settings.severity, settings.drawn, key=jax.random.fold_in(part, 1))
+            pose = sj.Pose(x, 0.0, math.radians(yaw_deg + offset))
+            image = _frame(mesh, pose, sonar, settings, key=jax.random.fold_in(part, 1))
             first = first if first.size else np.asarray(image)
             scores = np.asarray(sj.match_bank(image[box], bank))
             _collect(found, scores, is_target, round(yaw_deg * BINS / 360) % BINS)

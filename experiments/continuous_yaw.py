@@ -21,7 +21,7 @@ import jax
 import numpy as np
 
 import sonarjax as sj
-from experiments.common.frames import GROUND_RANGE_M, TestFrame, paper_frames, sonar_for
+from experiments.common.frames import GROUND_RANGE_M, TILTS_DEG, TestFrame, paper_frames, sonar_for
 from experiments.common.judge import recognize_all, target
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns, summary_deg
@@ -61,6 +61,8 @@ class Settings:
     """Frames of a timed batch."""
     repeats: int = 5
     """How often each cost is measured; the median counts."""
+    tilts_deg: tuple[float, ...] = TILTS_DEG
+    """Tilts of the sonar [deg], of those of §4.1."""
 
     def __post_init__(self) -> None:
         """Raise SonarjaxError for what cannot be measured."""
@@ -69,11 +71,14 @@ class Settings:
         unknown = [name for name in self.timed if name not in SEGMENTERS]
         if unknown:
             raise sj.SonarjaxError(f"timed: expected {', '.join(SEGMENTERS)}, got {unknown[0]}")
+        if TIMED_TILT_DEG not in self.tilts_deg:
+            raise sj.SonarjaxError(f"tilts_deg: expected {TIMED_TILT_DEG:g} among them, whose frames are timed")
 
 
 def run(settings: Settings, job: Job) -> Report:
     """Rows of errors, of error bars and of cost; `errors.npz` for the figures."""
-    drawn = paper_frames(job.seed, yaw_offset_deg=5.0, step_deg=settings.step_deg, severity=settings.severity)
+    step, severity, tilts = settings.step_deg, settings.severity, settings.tilts_deg
+    drawn = paper_frames(job.seed, yaw_offset_deg=5.0, step_deg=step, severity=severity, tilts_deg=tilts)
     frames = [frame for frame in drawn if frame.is_target]
     found = job.map(lambda name: _judged(frames, name), settings.segmenters, "errors")
     floor = np.abs([grid_offset_deg(frame.yaw) for frame in frames])
@@ -195,4 +200,4 @@ def table(report: Report) -> str:
 
 if __name__ == "__main__":
     smoke = {"segmenters": ("truth", "none"), "step_deg": 180, "timed": ("none",), "batch": 2, "repeats": 1}
-    launch(run, Settings, table, smoke=smoke)
+    launch(run, Settings, table, smoke=smoke | {"tilts_deg": (TIMED_TILT_DEG,)})

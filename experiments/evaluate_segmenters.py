@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 import sonarjax as sj
-from experiments.common.frames import TestFrame, paper_frames
+from experiments.common.frames import TILTS_DEG, TestFrame, paper_frames
 from experiments.common.judge import Found, judged, recognize_all, target
 from experiments.common.launch import Report, launch
 from experiments.common.maps import map_metrics
@@ -63,6 +63,8 @@ class Settings:
     """Sets of frames."""
     step_deg: int = 10
     """Yaw step of the first two sets [deg]; 10 gives the 288 frames of §4.1. The other sets have twice the step."""
+    tilts_deg: tuple[float, ...] = TILTS_DEG
+    """Tilts of the sonar [deg], of those of §4.1."""
 
 
 def mirrored(mesh: sj.Mesh) -> sj.Mesh:
@@ -70,11 +72,11 @@ def mirrored(mesh: sj.Mesh) -> sj.Mesh:
     return sj.Mesh.from_arrays(np.asarray(mesh.vertices) * (1.0, -1.0, 1.0), np.asarray(mesh.faces)[:, ::-1], "mirror")
 
 
-def frames_of(name: str, seed: int, step_deg: int) -> list[TestFrame]:
+def frames_of(name: str, seed: int, step_deg: int, tilts_deg: Sequence[float]) -> list[TestFrame]:
     """The frames of one set."""
     options = dict(SETS[name])
     other = mirrored(target()) if options.pop("mirror", False) else None
-    return paper_frames(seed, step_deg=step_deg, other=other, **options)
+    return paper_frames(seed, step_deg=step_deg, other=other, tilts_deg=tilts_deg, **options)
 
 
 def row(found: Found, frames: list[TestFrame]) -> dict[str, float]:
@@ -93,7 +95,8 @@ def run(settings: Settings, job: Job) -> Report:
     """Rows by set of frames."""
     sets: dict[str, list[dict[str, Any]]] = {}
     for title in settings.sets:
-        frames = frames_of(title, job.seed, settings.step_deg * (1 if title in WHOLE else 2))
+        step = settings.step_deg * (1 if title in WHOLE else 2)
+        frames = frames_of(title, job.seed, step, settings.tilts_deg)
 
         def measure(name: str, frames: list[TestFrame] = frames, title: str = title) -> dict[str, float]:
             return row(recognize_all(frames, name, refine=title == REFINED), frames)
@@ -140,5 +143,5 @@ def table(report: Report) -> str:
 
 
 if __name__ == "__main__":
-    smoke = {"step_deg": 90, "sets": ("severity 1",), "segmenters": ("pix2pix", "otsu")}
+    smoke = {"step_deg": 90, "sets": ("severity 1",), "segmenters": ("pix2pix", "otsu"), "tilts_deg": (20.0,)}
     launch(run, Settings, table, smoke=smoke)

@@ -21,7 +21,7 @@ import numpy as np
 from tqdm import tqdm
 
 import sonarjax as sj
-from experiments.common.frames import TestFrame, paper_frames, sonar_for
+from experiments.common.frames import TILTS_DEG, TestFrame, paper_frames, sonar_for
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns, summary_deg, yaw_error_deg
 from experiments.common.runs import Job
@@ -62,6 +62,8 @@ class Settings:
     """Another device of the family for every frame, instead of the nominal one."""
     most: int = 0
     """How many blurs, sharpnesses and margins are tried together at most; 0 for all."""
+    tilts_deg: tuple[float, ...] = TILTS_DEG
+    """Tilts of the sonar [deg], of those of §4.1."""
 
 
 class Way(NamedTuple):
@@ -103,6 +105,7 @@ def run(settings: Settings, job: Job) -> Report:
         step_deg=settings.step_deg,
         severity=settings.severity,
         drawn=settings.drawn,
+        tilts_deg=settings.tilts_deg,
     )
     targets = [frame for frame in frames if frame.is_target]
     found = job.map(partial(_measure, targets, settings.most), settings.segmenters, "segmenters")
@@ -162,4 +165,4 @@ def table(report: Report) -> str:
 
 
 if __name__ == "__main__":
-    launch(run, Settings, table, smoke={"segmenters": ("none",), "step_deg": 360, "most": 1})
+    launch(run, Settings, table, smoke={"segmenters": ("none",), "step_deg": 360, "most": 1, "tilts_deg": (20.0,)})

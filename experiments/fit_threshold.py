@@ -16,7 +16,7 @@ import numpy as np
 from tqdm import tqdm
 
 import sonarjax as sj
-from experiments.common.frames import TestFrame, paper_frames, sonar_for
+from experiments.common.frames import TILTS_DEG, TestFrame, paper_frames, sonar_for
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns
 from experiments.common.runs import Job
@@ -42,6 +42,8 @@ class Settings:
     """Yaw step of the validation frames [deg]."""
     segmenters: tuple[str, ...] = available()
     """Segmenters, each with a threshold of its own."""
+    tilts_deg: tuple[float, ...] = TILTS_DEG
+    """Tilts of the sonar [deg], of those of §4.1."""
 
 
 def best_threshold(target: np.ndarray, other: np.ndarray) -> float:
@@ -57,7 +59,8 @@ def best_threshold(target: np.ndarray, other: np.ndarray) -> float:
 
 def run(settings: Settings, job: Job) -> Report:
     """One row for each segmenter."""
-    frames = paper_frames(VALIDATION_SEED + job.seed, yaw_offset_deg=5.0, step_deg=settings.step_deg)
+    seed, step, tilts = VALIDATION_SEED + job.seed, settings.step_deg, settings.tilts_deg
+    frames = paper_frames(seed, yaw_offset_deg=5.0, step_deg=step, tilts_deg=tilts)
     found = job.map(partial(_measure, frames), settings.segmenters, "segmenters")
     return {"rows": [{"segmenter": name} | values for name, values in found.items()]}
 
@@ -85,4 +88,4 @@ def table(report: Report) -> str:
 
 
 if __name__ == "__main__":
-    launch(run, Settings, table, smoke={"step_deg": 360, "segmenters": ("otsu",)})
+    launch(run, Settings, table, smoke={"step_deg": 360, "segmenters": ("otsu",), "tilts_deg": (20.0,)})

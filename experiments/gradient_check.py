@@ -23,6 +23,7 @@ import numpy as np
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import markdown
 from experiments.common.runs import Job
+from sonarjax._cores import QUICK
 from sonarjax.refine.yaw import SUB_BEAMS
 from sonarjax.render import Window, place_window, render_window, semantic_window, window_shape
 from sonarjax.scene import Mesh, Pose, objects
@@ -107,13 +108,13 @@ def losses(image: Any, aim: Any) -> jax.Array:
     return jnp.stack([((image - aim) ** 2).sum(), 1 - ncc])
 
 
-@partial(jax.jit, static_argnames=("shape", "sub_beams"))
+@partial(jax.jit, static_argnames=("shape", "sub_beams"), compiler_options=QUICK)
 def pictures(mesh: Mesh, sonar: Sonar, points: Any, row: Any, column: Any, shape: Any, sub_beams: int) -> jax.Array:
     """Semantic windows (point, range, beam) at points (point, 3), one after another: all perturbations of a scene."""
     return jax.lax.map(lambda p: picture(mesh, sonar, p, Window(row, column, shape), sub_beams), points)
 
 
-@partial(jax.jit, static_argnames=("sub_beams",))
+@partial(jax.jit, static_argnames="sub_beams", compiler_options=QUICK)
 def derivatives(mesh: Mesh, sonar: Sonar, p: Any, row: Any, column: Any, aim: Any, sub_beams: int) -> jax.Array:
     """Derivatives (loss, parameter) of both losses at p by reverse mode."""
 
@@ -123,7 +124,7 @@ def derivatives(mesh: Mesh, sonar: Sonar, p: Any, row: Any, column: Any, aim: An
     return jax.jacrev(both)(p)
 
 
-@partial(jax.jit, static_argnames=("shape", "sub_beams", "elevations"))
+@partial(jax.jit, static_argnames=("shape", "sub_beams", "elevations"), compiler_options=QUICK)
 def layers(
     mesh: Mesh, sonar: Sonar, p: Any, row: Any, column: Any, shape: Any, sub_beams: int, elevations: int
 ) -> tuple[jax.Array, ...]:
@@ -214,7 +215,7 @@ def summary(scenes: list[dict[str, Any]], quality: str) -> dict[str, Any]:
 # ---------------------------------------------------------------- finite everywhere
 
 
-@jax.jit
+@partial(jax.jit, compiler_options=QUICK)
 def finite(mesh: Mesh, poses: Any) -> tuple[jax.Array, jax.Array]:
     """Whether value and all gradients are finite (pose,), and the largest gradient by the pose (pose,).
 
@@ -375,5 +376,5 @@ def _poses(poses: dict[str, Any] | None) -> list[str]:
 
 
 if __name__ == "__main__":
-    small = {"scenes": 3, "meshes": ("target",), "qualities": (SUB_BEAMS,), "forward": 0, "poses": 200}
+    small = {"scenes": 3, "meshes": ("target",), "qualities": (SUB_BEAMS,), "forward": 0, "poses": 0}
     launch(run, Settings, table, smoke=small)

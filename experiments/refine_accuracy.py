@@ -25,6 +25,7 @@ from experiments.common.frames import GROUND_RANGE_M, TILTS_DEG, sonar_for
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns, summary_deg, yaw_error_deg
 from experiments.common.runs import Job
+from sonarjax._cores import QUICK
 from sonarjax.refine import refine_yaw
 from sonarjax.render import Window, place_window, render_window, window_shape
 from sonarjax.scene import Mesh, Pose
@@ -61,7 +62,6 @@ class Settings:
     """Quality of the renders that the labels and the bound are made of."""
 
 
-@partial(jax.jit, static_argnames=("shape", "sub_beams"))
 def shares(mesh: Mesh, sonar: Sonar, pose: jax.Array, corner: Any, shape: tuple[int, int], sub_beams: int) -> jax.Array:
     """Shares (class, range, beam) of background, highlight and shadow at `pose` = (yaw, x, y)."""
     window = Window(corner[0], corner[1], shape)
@@ -70,7 +70,17 @@ def shares(mesh: Mesh, sonar: Sonar, pose: jax.Array, corner: Any, shape: tuple[
     return jnp.stack([(1 - h) * (1 - s), h, s * (1 - h)])
 
 
-@partial(jax.jit, static_argnames=("shape", "sub_beams"))
+@partial(jax.jit, static_argnames="sub_beams", compiler_options=QUICK)
+def labels_at(mesh: Mesh, sonar: Sonar, poses: jax.Array, sub_beams: int) -> jax.Array:
+    """The class (frame, range, beam) with the largest share at `poses` (frame, 3)."""
+
+    def one(pose: jax.Array) -> jax.Array:
+        return jnp.argmax(shares(mesh, sonar, pose, (0, 0), sonar.shape, sub_beams), 0)
+
+    return jax.lax.map(one, poses)
+
+
+@partial(jax.jit, static_argnames=("shape", "sub_beams"), compiler_options=QUICK)
 def bounds(
     mesh: Mesh, sonar: Sonar, poses: jax.Array, corners: Any, noise: Any, shape: tuple[int, int], sub_beams: int
 ) -> jax.Array:
@@ -95,8 +105,7 @@ def measure(settings: Settings, seed: int, case: tuple[float, float, float]) -> 
     mesh, sonar, away = target(), sonar_for(tilt_deg), GROUND_RANGE_M[tilt_deg]
     low, high = [0.0, away - 0.02, -0.15], [2 * math.pi, away + 0.02, 0.15]
     poses = rng.uniform(low, high, (count, 3)).astype(np.float32)
-    whole = partial(shares, mesh, sonar, corner=(0, 0), shape=sonar.shape, sub_beams=settings.sub_beams)
-    labels = np.asarray(jax.jit(lambda p: jax.lax.map(lambda q: jnp.argmax(whole(q), 0), p))(poses))
+    labels = np.asarray(labels_at(mesh, sonar, poses, settings.sub_beams))
     replaced = rng.random(labels.shape) < noise
     labels = np.where(replaced, rng.integers(0, 3, labels.shape), labels)
     off = rng.uniform(-1, 1, (count, 3)) * [math.radians(start_deg), reach, reach]

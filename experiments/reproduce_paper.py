@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from experiments.common import paper
-from experiments.common.frames import TestFrame, paper_frames
+from experiments.common.frames import TILTS_DEG, TestFrame, paper_frames
 from experiments.common.judge import Found, judged, recognize_all
 from experiments.common.launch import Report, launch
 from experiments.common.maps import map_metrics
@@ -50,6 +50,8 @@ class Settings:
     """Yaw step of each set [deg], a divisor of 90; 10 gives the 288 frames of §4.1."""
     yaw_offset_deg: float = 5.0
     """Largest offset of each yaw from the grid [deg], where refinement is judged."""
+    tilts_deg: tuple[float, ...] = TILTS_DEG
+    """Tilts of the sonar [deg], of those of §4.1."""
 
     def __post_init__(self) -> None:
         """Raises ValueError for settings that give no table."""
@@ -61,8 +63,8 @@ class Settings:
 
 def run(settings: Settings, job: Job) -> Report:
     """Measure both sets of frames with each segmenter, and put each number beside the paper's."""
-    grid = paper_frames(job.seed, step_deg=settings.step_deg)
-    offset = paper_frames(job.seed, step_deg=settings.step_deg, yaw_offset_deg=settings.yaw_offset_deg)
+    frames = partial(paper_frames, job.seed, step_deg=settings.step_deg, tilts_deg=settings.tilts_deg)
+    grid, offset = frames(), frames(yaw_offset_deg=settings.yaw_offset_deg)
     on_grid = job.map(partial(_on_grid, job, grid), settings.segmenters, "grid")
     off_grid = job.map(partial(_off_grid, job, offset), settings.segmenters, "offset")
     tables = {
@@ -157,4 +159,4 @@ def table(report: Report) -> str:
 
 
 if __name__ == "__main__":
-    launch(run, Settings, table, smoke={"step_deg": 90, "segmenters": ("otsu", "none")})
+    launch(run, Settings, table, smoke={"step_deg": 90, "segmenters": ("otsu", "none"), "tilts_deg": (20.0,)})

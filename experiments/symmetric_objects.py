@@ -19,13 +19,13 @@ import jax.numpy as jnp
 import numpy as np
 
 import sonarjax as sj
-from experiments.common.frames import GROUND_RANGE_M, sonar_for
+from experiments.common.frames import GROUND_RANGE_M, observed, sonar_for
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns, yaw_error_deg
 from experiments.common.runs import Job
 from sonarjax.recognize import HYPOTHESES
 from sonarjax.scene.objects import BRICK_M, box, cylinder_arrays, join
-from sonarjax.sensor import SensorModel, observe_scene
+from sonarjax.sensor import SensorModel
 
 TILT_DEG = 20.0
 PLACE_M = (0.05, 0.15)  # largest distance from the usual place, in x and in y
@@ -116,17 +116,12 @@ Drawn = tuple[float, np.ndarray, np.ndarray]
 def _frames(mesh: sj.Mesh, settings: Settings, key: jax.Array) -> list[Drawn]:
     """True yaw [rad], noisy frame and clean map (range, beam) of an object at random yaws and places."""
     sonar, model = sonar_for(TILT_DEG), SensorModel.nominal(settings.severity)
-
-    @jax.jit
-    def simulate(pose: sj.Pose, key: jax.Array) -> tuple[jax.Array, jax.Array]:
-        image, frame = observe_scene(mesh, pose, sonar, model, key=key)
-        return image, frame.semantic()
-
     drawn = []
     for part in jax.random.split(key, settings.frames):
         place, noise = jax.random.split(part)
         x, y, turn = jax.random.uniform(place, (3,), minval=-1.0) * jnp.array([*PLACE_M, math.pi])
-        image, clean = simulate(sj.Pose(GROUND_RANGE_M[TILT_DEG] + x, y, turn), noise)
+        pose = sj.Pose(GROUND_RANGE_M[TILT_DEG] + x, y, turn)
+        image, clean = observed(mesh, pose, sonar, model, key=noise)
         drawn.append((float(turn), np.asarray(image), np.asarray(clean)))
     return drawn
 

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import sonarjax as sj
-from experiments.common.frames import GROUND_RANGE_M, TestFrame, paper_frames, sonar_for
+from experiments.common.frames import GROUND_RANGE_M, TILTS_DEG, TestFrame, paper_frames, sonar_for
 from experiments.common.judge import target
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns, yaw_error_deg
@@ -49,6 +49,8 @@ class Settings:
     """What is refined on."""
     step_deg: int = 60
     """Yaw step of each of the four sets of frames [deg]: 60 gives 24 frames."""
+    tilts_deg: tuple[float, ...] = TILTS_DEG
+    """Tilts of the sonar [deg], of those of §4.1."""
     reach_deg: float = 40.0
     """Largest start error [deg], sampled every 5°."""
     position_m: float = 0.02
@@ -59,7 +61,7 @@ class Settings:
 
 def run(settings: Settings, job: Job) -> Report:
     """A row for each map, ladder of blurs and start error; `basin.npz` holds the error of every end."""
-    frames = target_frames(job.seed, settings.step_deg)
+    frames = target_frames(job.seed, settings.step_deg, settings.tilts_deg)
     off = np.arange(-settings.reach_deg, settings.reach_deg + 1e-6, START_STEP_DEG)
     rows: list[dict[str, Any]] = []
     ends: dict[str, np.ndarray] = {}
@@ -81,9 +83,10 @@ def run(settings: Settings, job: Job) -> Report:
     return {"frames": len(frames), "rows": rows}
 
 
-def target_frames(seed: int, step_deg: int) -> list[TestFrame]:
-    """Frames of the target at four tilts, yaw in steps of `step_deg` and up to 5° off them [deg]."""
-    return [frame for frame in paper_frames(seed, yaw_offset_deg=5.0, step_deg=step_deg) if frame.is_target]
+def target_frames(seed: int, step_deg: int, tilts_deg: Sequence[float] = TILTS_DEG) -> list[TestFrame]:
+    """Frames of the target at these tilts and one drawn of them, yaw in steps of `step_deg` and up to 5° off [deg]."""
+    frames = paper_frames(seed, yaw_offset_deg=5.0, step_deg=step_deg, tilts_deg=tilts_deg)
+    return [frame for frame in frames if frame.is_target]
 
 
 def map_of(name: MapName, frame: TestFrame) -> np.ndarray:
@@ -122,4 +125,5 @@ def table(report: Report) -> str:
 
 
 if __name__ == "__main__":
-    launch(run, Settings, table, smoke={"maps": ("labels",), "step_deg": 180, "reach_deg": 5.0, "fine": False})
+    small = {"maps": ("labels",), "step_deg": 180, "reach_deg": 5.0, "fine": False, "tilts_deg": (20.0,)}
+    launch(run, Settings, table, smoke=small)

@@ -140,8 +140,9 @@ class Recognizer:
         self._banks: dict[tuple[int, bool, bool], _Entry | None] = {}
         self._distances = _ground_ranges(sonar)
         near = float(self._distances[0])
-        self._beams = min(-(-object_columns(mesh, sonar, near) // 16) * 16, sonar.n_beams)
-        self._shape = (sonar.n_ranges, min(-(-window_shape(mesh, sonar, near)[1] // 16) * 16, sonar.n_beams))
+        # Coarse steps, so that sonars at several tilts share compiled code.
+        self._beams = min(-(-object_columns(mesh, sonar, near) // 32) * 32, sonar.n_beams)
+        self._shape = (sonar.n_ranges, min(-(-window_shape(mesh, sonar, near)[1] // 32) * 32, sonar.n_beams))
 
     def bank(self, index: int, coarse: bool, masked: bool) -> _Entry | None:
         """The bank at distance `index`, ready to be matched; None where the object is not in view there."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cache, partial
 
 import jax
@@ -51,19 +52,27 @@ def paper_frames(
     drawn: bool = False,
     other: sj.Mesh | None = None,
     model: SensorModel | None = None,
+    tilts_deg: Sequence[float] = TILTS_DEG,
 ) -> list[TestFrame]:
     """Four sets (tilts 15, 20, 25° and one drawn of them) of target and non-target, yaw in steps of `step_deg`.
 
     With steps of 10° these are the 288 frames of §4.1. `yaw_offset_deg` adds a uniform offset within ± that to each.
     The sensor is the nominal DIDSON at `severity`, or with `drawn` another device of the family for every frame.
-    `other` takes the non-target's place, and `model` the sensor's.
+    `other` takes the non-target's place, `model` the sensor's, and `tilts_deg` that of the tilts.
+
+    Raises SonarjaxError for a tilt that is not one of §4.1.
     """
+    for tilt in tilts_deg:
+        if tilt not in GROUND_RANGE_M:
+            raise sj.SonarjaxError(
+                f"tilts_deg: expected some of {', '.join(f'{t:g}' for t in TILTS_DEG)}, got {tilt:g}"
+            )
     key = jax.random.key(seed)
-    tilt_drawn = TILTS_DEG[int(jax.random.randint(jax.random.fold_in(key, 10**6), (), 0, 3))]
+    tilt_drawn = tilts_deg[int(jax.random.randint(jax.random.fold_in(key, 10**6), (), 0, len(tilts_deg)))]
     meshes = sj.objects.target(), sj.objects.non_target() if other is None else other
     cases = [
         (number, tilt, is_target, yaw_deg)
-        for number, tilt in enumerate((*TILTS_DEG, tilt_drawn))
+        for number, tilt in enumerate((*tilts_deg, tilt_drawn))
         for is_target in (True, False)
         for yaw_deg in range(0, 360, step_deg)
     ]
@@ -73,10 +82,10 @@ def paper_frames(
         part = jax.random.fold_in(key, (number * 2 + is_target) * 360 + yaw_deg)
         offset = float(jax.random.uniform(part, (), minval=-1.0, maxval=1.0)) * math.radians(yaw_offset_deg)
         yaw = math.radians(yaw_deg) + offset
-        pose = sj.Pose(*(jnp.float32(v) for v in (GROUND_RANGE_M[tilt], 0.0, yaw)))
+        pose = sj.Pose(GROUND_RANGE_M[tilt], 0.0, yaw)
         sensor = _device(severity, drawn, key=jax.random.fold_in(part, 3)) if model is None else model
         mesh = meshes[0] if is_target else meshes[1]
-        image, clean = _observed(mesh, pose, sonar_for(tilt), sensor, key=jax.random.fold_in(part, 7))
+        image, clean = observed(mesh, pose, sonar_for(tilt), sensor, key=jax.random.fold_in(part, 7))
         return TestFrame(np.asarray(image), np.asarray(clean), is_target, yaw, tilt)
 
     for case in (cases[0], next(c for c in cases if not c[2])):
@@ -88,9 +97,21 @@ def _device(severity: float, drawn: bool, *, key: jax.Array) -> SensorModel:
     return SensorModel.draw(key=key, severity=severity) if drawn else SensorModel.nominal(severity)
 
 
+def observed(
+    mesh: sj.Mesh, pose: sj.Pose, sonar: sj.Sonar, model: SensorModel, *, key: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """What a sonar sees of an object, and the true semantic image: both (range, beam) in [0, 1].
+
+    The one compiled function that draws the experiments' frames: objects of about as many triangles share its code.
+    """
+    # A frame does not need to know how far the object reaches; the code would be traced anew for each such number.
+    pose = jax.tree.map(jnp.float32, pose)
+    return _observed(replace(mesh, radius=0.0, top=0.0), pose, sonar, model, key)
+
+
 @partial(jax.jit, compiler_options=SINGLE_CORE)
 def _observed(
-    mesh: sj.Mesh, pose: sj.Pose, sonar: sj.Sonar, model: SensorModel, *, key: jax.Array
+    mesh: sj.Mesh, pose: sj.Pose, sonar: sj.Sonar, model: SensorModel, key: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     image, frame = observe_scene(mesh, pose, sonar, model, key=key)
     return image, frame.semantic()

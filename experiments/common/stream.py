@@ -14,17 +14,17 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from matplotlib.figure import Figure
 
 import sonarjax as sj
+from experiments.common.frames import observed
 from sonarjax.io import Frame, SonarjaxError, iter_frames
 from sonarjax.io.load import PARSERS
 from sonarjax.plot import MARK_COLOR
 from sonarjax.recognize import REFINEMENT, THRESHOLDS, UNMODELLED_YAW, Hypothesis, Recognition, refine_on_frame
 from sonarjax.segment import semantic_map
-from sonarjax.sensor import SensorModel, observe_scene
+from sonarjax.sensor import SensorModel
 
 WAYS = ("recognize", "track map", "track frame")
 """How a stream is gone through: each frame anew, or refined from the last pose on the map or on the frame itself."""
@@ -78,13 +78,8 @@ def turning(
     mesh: sj.Mesh, sonar: sj.Sonar, model: SensorModel, poses: list[sj.Pose], key: jax.Array
 ) -> Iterator[Named]:
     """Simulated frames of an object at `poses` [m, rad]; `meta` holds the true yaw [deg]."""
-
-    @jax.jit
-    def observe(pose: sj.Pose, key: jax.Array) -> jax.Array:
-        return observe_scene(mesh, pose, sonar, model, key=key)[0]
-
     for k, pose in enumerate(poses):
-        image = np.asarray(observe(jax.tree.map(jnp.float32, pose), jax.random.fold_in(key, k)))
+        image = np.asarray(observed(mesh, pose, sonar, model, key=jax.random.fold_in(key, k))[0])
         name = f"simulated:{k}"
         yield name, Frame(image, None, name, name, meta={"true_yaw_deg": math.degrees(pose.yaw)})
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import jax
@@ -11,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from sonarjax._cores import SINGLE_CORE, is_traced, on_all_cores
+from sonarjax._cores import SINGLE_CORE, is_traced, on_all_cores, quick_jit
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.refine.objective import Problem, crop_score, normalised
 from sonarjax.refine.solver import Found, coarse_to_fine
@@ -102,21 +103,22 @@ def refine_yaw(
     if len(axes) not in (frames, frames + 1) or axes[:frames] != image.shape[:frames]:
         raise SonarjaxError(f"start: expected one pose (or one axis of poses) for each image, got shape {axes}")
     shape, beams = _window_size(mesh, sonar, start, bounds)
-    # One long list of frames and starts, so that every core has its share.
+    # One long list of frames and starts, so that every core has its share. On a CPU they go one by one: whatever their
+    # number, they share compiled code.
     starts = jax.tree.map(lambda v: jnp.broadcast_to(v, axes).reshape(-1), start)
     count = math.prod(axes)
     which = jnp.arange(count) // max(count // max(math.prod(axes[:frames]), 1), 1)
     images, weights = (v.reshape(-1, *sonar.shape) for v in (image, weight))
     limits, sharp, sigmas = _limits(bounds, template), jnp.float32(sharpness), jnp.asarray(blurs, jnp.float32)
-    refine = _refine if is_traced(images, weights, starts, mesh, sonar) else _refine_compiled
 
-    def part(jobs: tuple[Array, Pose]) -> YawEstimate:
-        return refine(
-            images, weights, mesh, sonar, jobs, limits, sharp, sigmas,
+    def part(jobs: tuple[Any, Pose]) -> YawEstimate:
+        frames, starts = jobs
+        return _refine(
+            images[frames], weights[frames], mesh, sonar, starts, limits, sharp, sigmas,
             shape, beams, iterations, sub_beams, margin, template,
         )  # fmt: skip
 
-    found = on_all_cores(part, (which, starts))
+    found = on_all_cores(part, (which, starts), most=1)
     return jax.tree.map(lambda v: v.reshape(axes), found)
 
 
@@ -129,7 +131,7 @@ def _window_size(mesh: Mesh, sonar: Sonar, start: Pose, bounds: tuple[float, ...
     shapes = [window_shape(mesh, sonar, float(g), SLACK_M) for g in (ground.min(), ground.max())]
     rows, columns = max(s[0] for s in shapes), max(s[1] for s in shapes)
     # Coarse steps: compiling the solver for another window costs far more than a few empty pixels.
-    shape = min(-(-rows // 128) * 128, sonar.n_ranges), min(-(-columns // 16) * 16, sonar.n_beams)
+    shape = min(-(-rows // 128) * 128, sonar.n_ranges), min(-(-columns // 32) * 32, sonar.n_beams)
     return shape, min(-(-object_columns(mesh, sonar, nearest) // 16) * 16, sonar.n_beams)
 
 
@@ -138,32 +140,29 @@ def _limits(bounds: tuple[float, ...], template: str) -> Float[Array, "2 step"]:
     return jnp.array([*((-most, most) for most in bounds), *BESIDES[template]], jnp.float32).T
 
 
+_STATIC = ("shape", "beams", "iterations", "sub_beams", "margin", "template")
+
+
+@partial(quick_jit, options=SINGLE_CORE, static_argnames=_STATIC)
 def _refine(
-    images: Array, weights: Array, mesh: Mesh, sonar: Sonar, jobs: tuple[Array, Pose],
+    images: Array, weights: Array, mesh: Mesh, sonar: Sonar, starts: Pose,
     bounds: Array, sharpness: Array, blurs: Array,
     shape: tuple[int, int], beams: int, iterations: int, sub_beams: int,
     margin: tuple[int, int] | None, template: str,
 ) -> YawEstimate:  # fmt: skip
-    def one(job: tuple[Array, Pose]) -> YawEstimate:
-        frame, start = job
+    def one(job: tuple[Array, Array, Pose]) -> YawEstimate:
+        image, weight, start = job
         window = place_window(shape, mesh, sonar, start.x, start.y, SLACK_M)
-        corner = (frame, window.row, window.column)
-        part, measured = (jax.lax.dynamic_slice(v, corner, (1, *shape))[0] for v in (images, weights))
+        corner = (window.row, window.column)
+        part, measured = (jax.lax.dynamic_slice(v, corner, shape) for v in (image, weight))
         inner = Window(window.row, window.column, shape, beams)
         problem = Problem(part, measured, start, inner, sharpness)
         found = coarse_to_fine(problem, mesh, sonar, bounds, blurs, iterations, sub_beams, template, margin)
         return _estimate(problem._replace(weight=found.weight), found, bounds)
 
     # One after another on a CPU, where a batch would only spill the caches; side by side on an accelerator.
-    side_by_side = None if jax.default_backend() == "cpu" else len(jobs[0])
-    return jax.lax.map(one, jobs, batch_size=side_by_side)
-
-
-_refine_compiled = jax.jit(
-    _refine,
-    static_argnames=("shape", "beams", "iterations", "sub_beams", "margin", "template"),
-    compiler_options=SINGLE_CORE,
-)
+    side_by_side = None if jax.default_backend() == "cpu" else len(images)
+    return jax.lax.map(one, (images, weights, starts), batch_size=side_by_side)
 
 
 def _estimate(problem: Problem, found: Found, bounds: Array) -> YawEstimate:

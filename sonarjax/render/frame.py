@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, UInt8
 
-from sonarjax._cores import QUICK, is_traced
+from sonarjax._cores import quick_jit
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.render.window import Window, render_window
 from sonarjax.scene import Mesh, Pose
@@ -73,18 +74,14 @@ def render(
         raise SonarjaxError(f"sub_beams and elevations: expected at least 1, got {sub_beams} and {elevations}")
     if not isinstance(mesh, Mesh):
         mesh, pose = place_together(mesh, pose)
-    compiled = _render_inside if is_traced(mesh, pose, sonar) else _render_alone
-    return compiled(mesh, pose, sonar, sub_beams, elevations)
+    assert isinstance(pose, Pose)
+    return _render(mesh, pose, sonar, sub_beams, elevations)
 
 
+@partial(quick_jit, static_argnames=("sub_beams", "elevations"))
 def _render(mesh: Mesh, pose: Pose, sonar: Sonar, sub_beams: int, elevations: int) -> SonarFrame:
     layers = render_window(mesh, pose, sonar, Window(0, 0, sonar.shape), sub_beams, elevations)
     return SonarFrame(*layers)
-
-
-_STATIC = ("sub_beams", "elevations")
-_render_alone = jax.jit(_render, static_argnames=_STATIC, compiler_options=QUICK)
-_render_inside = jax.jit(_render, static_argnames=_STATIC)  # of another function, or being differentiated
 
 
 def place_together(meshes: Sequence[Mesh], poses: Pose | Sequence[Pose]) -> tuple[Mesh, Pose]:

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float, UInt8
 
+from sonarjax._cores import quick_jit
 from sonarjax.segment.discriminator import Discriminator
 from sonarjax.segment.generator import Generator, Head, to_grey
 from sonarjax.segment.initial import draw_variables
@@ -134,7 +135,7 @@ def create_state(config: GanConfig, *, key: Array) -> GanState:
     )
 
 
-@partial(jax.jit, donate_argnums=0)
+@partial(quick_jit, donate_argnums=0)
 def train_step(
     state: GanState,
     x: Float[Array, "batch height width 1"],
@@ -177,7 +178,7 @@ def train_step(
     return moved, {"discriminator": lost, **losses}
 
 
-@partial(jax.jit, donate_argnums=0)
+@partial(quick_jit, donate_argnums=0)
 def discriminative_step(
     state: GanState,
     x: Float[Array, "batch height width 1"],

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sonarjax._cores import QUICK, is_traced
+from sonarjax._cores import quick_jit
 from sonarjax.render import SonarFrame, render
 from sonarjax.render.frame import place_together
 from sonarjax.scene import Mesh, Pose
@@ -122,12 +122,13 @@ def observe_scene(
     """
     if not isinstance(mesh, Mesh):
         mesh, pose = place_together(mesh, pose)
-    observed = _observe_scene if is_traced(mesh, pose, sonar, model, key) else _observe_compiled
-    return observed(mesh, pose, sonar, model, key, sub_beams, elevations)
+    assert isinstance(pose, Pose)
+    return _observe_scene(mesh, pose, sonar, model, key, sub_beams, elevations)
 
 
+@partial(quick_jit, static_argnames=("sub_beams", "elevations"))
 def _observe_scene(
-    mesh: Mesh, pose: Any, sonar: Sonar, model: SensorModel, key: jax.Array, sub_beams: int, elevations: int
+    mesh: Mesh, pose: Pose, sonar: Sonar, model: SensorModel, key: jax.Array, sub_beams: int, elevations: int
 ) -> tuple[Array, SonarFrame]:
     def layers(aperture: Array) -> tuple[Array, Array, Array, Array]:
         reaching = sonar.replace(elevation_aperture=aperture)
@@ -140,6 +141,3 @@ def _observe_scene(
     frame, seen = (SonarFrame(*(layer[k] for layer in both)) for k in (0, 1))
     bounces = render_bounces(mesh, pose, sonar, model)
     return observe(seen, sonar, model, key=key, bounces=bounces), frame
-
-
-_observe_compiled = jax.jit(_observe_scene, static_argnames=("sub_beams", "elevations"), compiler_options=QUICK)
