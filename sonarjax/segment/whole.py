@@ -45,11 +45,11 @@ def segment_frame(
     pixels would make a highlight of the floor beside them. `closer` False stops after the tiles.
     """
     seen = jnp.asarray(image if mask is None else np.where(mask, image, _middle(image[mask])), jnp.float32)
-    grey = np.array(_through_tiles(weights, seen, jnp.asarray(_tiles(seen.shape))))
+    grey = _through_tiles(weights, seen)
     if mask is not None:
         grey = np.where(mask, grey, np.float32(0.5))
     for box in _objects(grey) if closer else []:
-        looked = np.asarray(_through_box(weights, seen, Box(*(jnp.float32(v) for v in box))))
+        looked = _through_box(weights, seen, Box(*map(float, box)))
         inside = pixels_inside(box)
         grey[inside] = looked[inside]
     return grey if mask is None else np.where(mask, grey, np.float32(0.5))
@@ -59,42 +59,49 @@ def _middle(values: Float[np.ndarray, " pixel"]) -> float:
     return float(np.median(values)) if values.size else 0.5
 
 
-def _tiles(shape: tuple[int, ...]) -> Float[np.ndarray, "tile 4"]:
-    """Boxes (tile, 4) that cover a frame, neighbours half over one another; the columns are the fields of `Box`."""
+def _tiles(shape: tuple[int, ...]) -> list[Box]:
+    """Boxes that cover a frame, neighbours half over one another."""
     starts = []
     for size, tile in zip(shape, TILE, strict=True):
         count = max(-(-2 * (size - tile) // tile), 0) + 1
         starts.append(np.linspace(0.0, max(size - tile, 0), count, dtype=np.float32))
     tops, lefts = (edges.ravel() for edges in np.meshgrid(*starts, indexing="ij"))
     rows, columns = (np.full(tops.shape, min(size, tile), np.float32) for size, tile in zip(shape, TILE, strict=True))
-    return np.stack([tops, lefts, rows, columns], axis=1)
+    return [Box(*map(float, tile)) for tile in zip(tops, lefts, rows, columns, strict=True)]
 
 
-@jax.jit
-def _through_tiles(
-    weights: GeneratorWeights, image: Float[Array, "range beam"], tiles: Float[Array, "tile 4"]
-) -> Float[Array, "range beam"]:
-    """The maps of all tiles, blended: each counts most in its middle."""
-    ramps = [np.minimum(np.arange(n) + 0.5, n - np.arange(n) - 0.5) / n for n in PATCH]
-    weight = jnp.asarray(ramps[0][:, None] * ramps[1], jnp.float32)
-    shape = image.shape[0], image.shape[1]
-
-    # One after the other: compiled once, however many there are, and only two frames of memory.
-    def add(sums: tuple[Array, Array], tile: Array) -> tuple[tuple[Array, Array], None]:
-        box = Box(*tile)
-        share = paste_patch(weight, box, shape, 0.0)
-        pasted = paste_patch(segment_patch(weights, cut_box(image, box)[None])[0], box, shape)
-        return (sums[0] + share * pasted, sums[1] + share), None
-
-    (total, shares), _ = jax.lax.scan(add, (jnp.zeros(shape), jnp.zeros(shape)), tiles)
+def _through_tiles(weights: GeneratorWeights, image: Float[Array, "range beam"]) -> Float[np.ndarray, "range beam"]:
+    """The maps of all tiles, blended."""
+    # The network is asked for one patch at a time, here as in a closer look: it is compiled once.
+    sums = jnp.zeros((2, *image.shape))
+    for box in _tiles(image.shape):
+        sums = _blend(sums, segment_patch(weights, _cut(image, box)[None])[0], box)
+    total, shares = np.asarray(sums)
     return total / shares
 
 
+def _through_box(
+    weights: GeneratorWeights, image: Float[Array, "range beam"], box: Box
+) -> Float[np.ndarray, "range beam"]:
+    """The map of a closer look."""
+    patch = _cut(image, box)
+    as_it_is, mirrored = (segment_patch(weights, seen[None])[0] for seen in (patch, patch[:, ::-1]))
+    return np.asarray(_paste((as_it_is + mirrored[:, ::-1]) / 2, box, (image.shape[0], image.shape[1])))
+
+
+_cut = jax.jit(cut_box)
+_paste = jax.jit(paste_patch, static_argnames="shape")
+
+
 @jax.jit
-def _through_box(weights: GeneratorWeights, image: Float[Array, "range beam"], box: Box) -> Float[Array, "range beam"]:
-    patch = cut_box(image, box)
-    as_it_is, mirrored = segment_patch(weights, jnp.stack([patch, patch[:, ::-1]]))
-    return paste_patch((as_it_is + mirrored[:, ::-1]) / 2, box, (image.shape[0], image.shape[1]))
+def _blend(
+    sums: Float[Array, "2 range beam"], patch: Float[Array, "patch_range patch_beam"], box: Box
+) -> Float[Array, "2 range beam"]:
+    """Weighted sum of maps and sum of weights with one more tile's: it counts most in its middle."""
+    ramps = [np.minimum(np.arange(n) + 0.5, n - np.arange(n) - 0.5) / n for n in PATCH]
+    shape = sums.shape[1], sums.shape[2]
+    share = paste_patch(jnp.asarray(ramps[0][:, None] * ramps[1], jnp.float32), box, shape, 0.0)
+    return sums + jnp.stack([share * paste_patch(patch, box, shape), share])
 
 
 def _objects(grey: Float[np.ndarray, "range beam"]) -> list[Box]:
