@@ -118,7 +118,8 @@ def refine_yaw(
             shape, beams, iterations, sub_beams, margin, template,
         )  # fmt: skip
 
-    found = on_all_cores(part, (which, starts), most=1)
+    traced = is_traced(images, weights, mesh, sonar)
+    found = part((which, starts)) if traced else on_all_cores(part, (which, starts), most=1)
     return jax.tree.map(lambda v: v.reshape(axes), found)
 
 
