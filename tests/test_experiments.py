@@ -14,6 +14,7 @@ import pytest
 
 from experiments import __main__ as listing
 from experiments.common import runs
+from experiments.common.frames import paper_frames
 from experiments.common.launch import Skipped, combined, launch, parse
 from experiments.common.runs import Job, find_run, load_arrays, load_report, run_folder
 from experiments.evaluate_segmenters import mirrored
@@ -285,6 +286,11 @@ def test_smoke_tells_of_each_and_fails_when_one_does(
 
 
 # ---------------------------------------------------------------- parts whose results are shipped or printed
+
+
+def test_frames_of_a_tilt_that_is_not_the_papers_are_refused():
+    with pytest.raises(SonarjaxError, match="tilts_deg: expected some of 15, 20, 25, got 30"):
+        paper_frames(0, tilts_deg=(20.0, 30.0))
 
 
 def test_best_threshold_is_the_middle_of_the_widest_run_of_least_errors():
