@@ -23,7 +23,7 @@ import numpy as np
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import markdown
 from experiments.common.runs import Job
-from sonarjax._cores import QUICK
+from sonarjax._cores import quick_jit
 from sonarjax.refine.yaw import SUB_BEAMS
 from sonarjax.render import Window, place_window, render_window, semantic_window, window_shape
 from sonarjax.scene import Mesh, Pose, objects
@@ -108,13 +108,13 @@ def losses(image: Any, aim: Any) -> jax.Array:
     return jnp.stack([((image - aim) ** 2).sum(), 1 - ncc])
 
 
-@partial(jax.jit, static_argnames=("shape", "sub_beams"), compiler_options=QUICK)
+@partial(quick_jit, static_argnames=("shape", "sub_beams"))
 def pictures(mesh: Mesh, sonar: Sonar, points: Any, row: Any, column: Any, shape: Any, sub_beams: int) -> jax.Array:
     """Semantic windows (point, range, beam) at points (point, 3), one after another: all perturbations of a scene."""
     return jax.lax.map(lambda p: picture(mesh, sonar, p, Window(row, column, shape), sub_beams), points)
 
 
-@partial(jax.jit, static_argnames="sub_beams", compiler_options=QUICK)
+@partial(quick_jit, static_argnames="sub_beams")
 def derivatives(mesh: Mesh, sonar: Sonar, p: Any, row: Any, column: Any, aim: Any, sub_beams: int) -> jax.Array:
     """Derivatives (loss, parameter) of both losses at p by reverse mode."""
 
@@ -124,7 +124,7 @@ def derivatives(mesh: Mesh, sonar: Sonar, p: Any, row: Any, column: Any, aim: An
     return jax.jacrev(both)(p)
 
 
-@partial(jax.jit, static_argnames=("shape", "sub_beams", "elevations"), compiler_options=QUICK)
+@partial(quick_jit, static_argnames=("shape", "sub_beams", "elevations"))
 def layers(
     mesh: Mesh, sonar: Sonar, p: Any, row: Any, column: Any, shape: Any, sub_beams: int, elevations: int
 ) -> tuple[jax.Array, ...]:
@@ -215,7 +215,7 @@ def summary(scenes: list[dict[str, Any]], quality: str) -> dict[str, Any]:
 # ---------------------------------------------------------------- finite everywhere
 
 
-@partial(jax.jit, compiler_options=QUICK)
+@quick_jit
 def finite(mesh: Mesh, poses: Any) -> tuple[jax.Array, jax.Array]:
     """Whether value and all gradients are finite (pose,), and the largest gradient by the pose (pose,).
 
@@ -376,5 +376,5 @@ def _poses(poses: dict[str, Any] | None) -> list[str]:
 
 
 if __name__ == "__main__":
-    small = {"scenes": 3, "meshes": ("target",), "qualities": (SUB_BEAMS,), "forward": 0, "poses": 0}
+    small = {"scenes": 3, "meshes": ("target",), "qualities": (SUB_BEAMS,), "forward": 0, "poses": 200}
     launch(run, Settings, table, smoke=small)

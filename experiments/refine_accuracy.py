@@ -25,7 +25,7 @@ from experiments.common.frames import GROUND_RANGE_M, TILTS_DEG, sonar_for
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns, summary_deg, yaw_error_deg
 from experiments.common.runs import Job
-from sonarjax._cores import QUICK
+from sonarjax._cores import quick_jit
 from sonarjax.refine import refine_yaw
 from sonarjax.render import Window, place_window, render_window, window_shape
 from sonarjax.scene import Mesh, Pose
@@ -70,7 +70,7 @@ def shares(mesh: Mesh, sonar: Sonar, pose: jax.Array, corner: Any, shape: tuple[
     return jnp.stack([(1 - h) * (1 - s), h, s * (1 - h)])
 
 
-@partial(jax.jit, static_argnames="sub_beams", compiler_options=QUICK)
+@partial(quick_jit, static_argnames="sub_beams")
 def labels_at(mesh: Mesh, sonar: Sonar, poses: jax.Array, sub_beams: int) -> jax.Array:
     """The class (frame, range, beam) with the largest share at `poses` (frame, 3)."""
 
@@ -80,7 +80,7 @@ def labels_at(mesh: Mesh, sonar: Sonar, poses: jax.Array, sub_beams: int) -> jax
     return jax.lax.map(one, poses)
 
 
-@partial(jax.jit, static_argnames=("shape", "sub_beams"), compiler_options=QUICK)
+@partial(quick_jit, static_argnames=("shape", "sub_beams"))
 def bounds(
     mesh: Mesh, sonar: Sonar, poses: jax.Array, corners: Any, noise: Any, shape: tuple[int, int], sub_beams: int
 ) -> jax.Array:

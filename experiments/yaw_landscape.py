@@ -26,7 +26,7 @@ from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns
 from experiments.common.runs import Job
 from experiments.yaw_basin import CONVERGED, SHARPNESS_OF, MapName, map_of, moved, target_frames
-from sonarjax._cores import QUICK
+from sonarjax._cores import quick_jit
 from sonarjax.refine.objective import ROW_STRIDE, Blur, Problem, make_blur, normalised
 from sonarjax.refine.template import draw_with_slope
 from sonarjax.refine.yaw import BLURS_PX, BOUNDS, ITERATIONS, SLACK_M, SUB_BEAMS, _window_size
@@ -111,7 +111,7 @@ def losses_at(image: Any, frame: TestFrame, sharpness: float, steps: np.ndarray,
     return [np.concatenate(values)[: len(steps)].astype(float) for values in zip(*found, strict=True)]
 
 
-@partial(jax.jit, static_argnames=("beams", "sub_beams"), compiler_options=QUICK)
+@partial(quick_jit, static_argnames=("beams", "sub_beams"))
 def _losses(
     part: Any, at: Any, sharpness: Any, corner: Any, mesh: Any, sonar: Any, steps: Any, beams: int, sub_beams: int
 ) -> Any:

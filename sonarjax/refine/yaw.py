@@ -112,9 +112,9 @@ def refine_yaw(
     limits, sharp, sigmas = _limits(bounds, template), jnp.float32(sharpness), jnp.asarray(blurs, jnp.float32)
 
     def part(jobs: tuple[Any, Pose]) -> YawEstimate:
-        frames, starts = jobs
+        of, begin = jobs
         return _refine(
-            images[frames], weights[frames], mesh, sonar, starts, limits, sharp, sigmas,
+            images[of], weights[of], mesh, sonar, begin, limits, sharp, sigmas,
             shape, beams, iterations, sub_beams, margin, template,
         )  # fmt: skip
 

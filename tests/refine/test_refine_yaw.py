@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import sonarjax as sj
+from sonarjax.refine import yaw
 from sonarjax.refine.objective import make_blur, normalised
 from sonarjax.refine.template import labelled
 
@@ -71,6 +72,21 @@ def test_several_starts_keep_their_axis_and_a_batch_equals_single_frames(scene):
         single = sj.refine_yaw(images[frame], mesh, SONAR, pick(starts, frame))
         np.testing.assert_allclose(single.yaw, many.yaw[frame], atol=1e-4)
     assert sj.refine_yaw(images[0], mesh, SONAR, pick(starts, (0, 0))).yaw.shape == ()
+
+
+def test_batches_of_any_size_share_compiled_code(scene, monkeypatch):
+    mesh, images, poses = scene
+    compiled, seen = yaw._refine, set()
+
+    def refine(images, *given):
+        seen.add((images.shape, given[7:]))  # what is static follows the seven arrays
+        return compiled(images, *given)
+
+    monkeypatch.setattr(yaw, "_refine", refine)
+    for count in (1, 2, 3):
+        sj.refine_yaw(images[:count], mesh, SONAR, near(poses[:count], 5))
+    sj.refine_yaw(images[0], mesh, SONAR, pick(near(poses[:2], 5, (2,)), 0))
+    assert len(seen) == 1
 
 
 def test_what_is_masked_does_not_count(scene):

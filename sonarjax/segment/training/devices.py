@@ -17,7 +17,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array
 
-from sonarjax._cores import QUICK
+from sonarjax._cores import quick_jit
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.segment.step import GanState, Losses, discriminative_step, train_step
 from sonarjax.segment.training.batches import Stored
@@ -85,9 +85,7 @@ def make_step(recipe: Recipe, mesh: Mesh) -> Callable[[GanState, Array, Array, A
     """The compiled step: state (donated), images and labels as bytes, the run's key data → next state and losses."""
     whole, split = copied(mesh), NamedSharding(mesh, PartitionSpec("batch"))
 
-    shardings: Any = {"in_shardings": (whole, split, split, whole), "out_shardings": whole}
-
-    @partial(jax.jit, donate_argnums=0, compiler_options=QUICK, **shardings)
+    @partial(quick_jit, donate_argnums=0, in_shardings=(whole, split, split, whole), out_shardings=whole)
     def step(state: GanState, image: Array, labels: Array, dropout: Any) -> tuple[GanState, Losses]:
         x = (image.astype(jnp.float32) / 127.5 - 1)[..., None]
         key = jax.random.fold_in(jax.random.wrap_key_data(dropout), state.step)
