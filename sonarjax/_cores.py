@@ -17,10 +17,10 @@ import numpy as np
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-# The emitters of XLA's older CPU compiler take half the time for the renderer, and what they make is no slower; a step
-# of training is compiled and runs faster with them. Newer compilers know the option no more.
+# The emitters of XLA's older CPU compiler take half the time for the renderer, and what they make is no slower. Newer
+# compilers know the option no more.
 QUICK: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False} if jax.__version_info__ < (0, 11) else {}
-"""Compiler options of a function that renders or trains. See `quick_jit`."""
+"""Compiler options of a function that renders or matches. See `quick_jit`."""
 SINGLE_CORE = QUICK | {"xla_cpu_multi_thread_eigen": False}
 """Those of one that `on_all_cores` calls too: its small kernels only lose by being shared out."""
 

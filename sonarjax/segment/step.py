@@ -1,6 +1,8 @@
 """One step of training, as pure jitted functions of a `GanState`: pix2pix, and cross-entropy with the same U-Net.
 
-Every mean runs over the whole batch, so a batch that is sharded over devices gives the step of one device.
+A step is a *turn* (the maps, the discriminator's move, the generator's gradient) and then the generator's move: two
+compiled functions, which XLA makes sooner than one, and its CPU runs faster at small widths. Every mean runs over the
+whole batch, so a batch that is sharded over devices gives the step of one device.
 """
 
 from __future__ import annotations
@@ -14,7 +16,6 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float, UInt8
 
-from sonarjax._cores import quick_jit
 from sonarjax.segment.discriminator import Discriminator
 from sonarjax.segment.generator import Generator, Head, to_grey
 from sonarjax.segment.initial import draw_variables
@@ -135,7 +136,23 @@ def create_state(config: GanConfig, *, key: Array) -> GanState:
     )
 
 
-@partial(quick_jit, donate_argnums=0)
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Turn:
+    """What a step finds before the generator moves; a pytree."""
+
+    gradient: Any
+    """Gradient of the generator's loss by its parameters."""
+    batch_stats: Any
+    """The generator's moved running statistics."""
+    discriminator: Any
+    """The moved discriminator."""
+    discriminator_optimiser: Any
+    """Its optimiser's state."""
+    losses: Losses
+    """Losses by name."""
+
+
 def train_step(
     state: GanState,
     x: Float[Array, "batch height width 1"],
@@ -145,9 +162,41 @@ def train_step(
 ) -> tuple[GanState, Losses]:
     """One step of both networks on images `x` and semantic maps `y`, both (batch, height, width, 1) in [−1, 1].
 
+    `state` is donated. See `train_turn` for the losses.
+    """
+    turn = train_turn(state, x, y, key=key)
+    return move(state, turn), turn.losses
+
+
+def discriminative_step(
+    state: GanState,
+    x: Float[Array, "batch height width 1"],
+    labels: UInt8[Array, "batch height width"],
+    *,
+    key: Array,
+) -> tuple[GanState, Losses]:
+    """One step of the paper's 'discriminative model': the U-Net alone (head `classes`) on class-weighted cross-entropy.
+
+    Images `x` (batch, height, width, 1) in [−1, 1], `labels` (batch, height, width), dropout from `key`. `state` is
+    donated. Loss by name: `cross_entropy`.
+    """
+    turn = discriminative_turn(state, x, labels, key=key)
+    return move(state, turn), turn.losses
+
+
+@jax.jit
+def train_turn(
+    state: GanState,
+    x: Float[Array, "batch height width 1"],
+    y: Float[Array, "batch height width 1"],
+    *,
+    key: Array,
+) -> Turn:
+    """The turn of pix2pix on images `x` and semantic maps `y`, both (batch, height, width, 1) in [−1, 1].
+
     The generator's maps are made once (its dropout drawn from `key`) and serve both: the discriminator moves first, the
-    generator then answers the moved one. `state` is donated. Losses by name: `discriminator`, `adversarial`,
-    `distance`, and `cross_entropy` where it has a weight.
+    generator then answers the moved one. Losses by name: `discriminator`, `adversarial`, `distance`, and
+    `cross_entropy` where it has a weight.
     """
     config = state.config
     generate = partial(_generate, config, state.batch_stats, x, key)
@@ -173,24 +222,19 @@ def train_step(
         entropy, more = jax.value_and_grad(cross_entropy)(output, labels_of(y), config.class_weights)
         at_output = at_output + config.cross_entropy * more
         losses["cross_entropy"] = entropy
-    moved = _move_generator(state, pull_back(at_output)[0], batch_stats)
-    moved = replace(moved, discriminator=discriminator, discriminator_optimiser=judge_optimiser)
-    return moved, {"discriminator": lost, **losses}
+    (gradient,) = pull_back(at_output)
+    return Turn(gradient, batch_stats, discriminator, judge_optimiser, {"discriminator": lost, **losses})
 
 
-@partial(quick_jit, donate_argnums=0)
-def discriminative_step(
+@jax.jit
+def discriminative_turn(
     state: GanState,
     x: Float[Array, "batch height width 1"],
     labels: UInt8[Array, "batch height width"],
     *,
     key: Array,
-) -> tuple[GanState, Losses]:
-    """One step of the paper's 'discriminative model': the U-Net alone (head `classes`) on class-weighted cross-entropy.
-
-    Images `x` (batch, height, width, 1) in [−1, 1], `labels` (batch, height, width), dropout from `key`. The
-    discriminator rests. `state` is donated. Loss by name: `cross_entropy`.
-    """
+) -> Turn:
+    """The turn of the discriminative model, in which the discriminator rests; see `discriminative_step`."""
     config = state.config
 
     def loss(params: Any) -> tuple[Array, Any]:
@@ -198,7 +242,13 @@ def discriminative_step(
         return cross_entropy(output, labels, config.class_weights), batch_stats
 
     (lost, batch_stats), gradient = jax.value_and_grad(loss, has_aux=True)(state.generator)
-    return _move_generator(state, gradient, batch_stats), {"cross_entropy": lost}
+    return Turn(gradient, batch_stats, state.discriminator, state.discriminator_optimiser, {"cross_entropy": lost})
+
+
+def move(state: GanState, turn: Turn) -> GanState:
+    """The state after a turn: the discriminator as it moved, the generator moved by Adam. `state` is donated."""
+    judged = replace(state, discriminator=turn.discriminator, discriminator_optimiser=turn.discriminator_optimiser)
+    return _move_generator(judged, turn.gradient, turn.batch_stats)
 
 
 def _generate(config: GanConfig, batch_stats: Any, x: Array, key: Array, params: Any) -> tuple[Array, Any]:
@@ -212,6 +262,7 @@ def _judge(config: GanConfig, x: Array, y: Array, params: Any) -> Array:
     return jnp.asarray(config.discriminator().apply({"params": params}, x, y))
 
 
+@partial(jax.jit, donate_argnums=0)
 def _move_generator(state: GanState, gradient: Any, batch_stats: Any) -> GanState:
     config = state.config
     params, optimiser = _adam(config, gradient, state.generator_optimiser, state.generator)

@@ -13,7 +13,7 @@ import pytest
 from flax import linen as nn
 
 from sonarjax.segment.loss import labels_of
-from sonarjax.segment.step import GanConfig, GanState, create_state, discriminative_step, train_step
+from sonarjax.segment.step import GanConfig, GanState, create_state, discriminative_step, move, train_step, train_turn
 
 PRODUCTS = GanConfig(width=2, discriminator_width=2, multipliers=(1, 2, 2, 2, 2, 2, 2))
 # The layers have their own tests; XLA compiles a step of convolutions several times faster than one of products.
@@ -66,8 +66,9 @@ def test_step_is_pytorchs(rng: np.random.Generator, key: jax.Array) -> None:
     before = jax.tree.map(np.array, state.generator)
     g, d, losses = torch_step(state, x, y)
     with nn.intercept_methods(without_dropout):
-        # A function of its own: JAX would keep a trace of `train_step` itself, and give it to the tests that follow.
-        moved, found = jax.jit(lambda *v: train_step.__wrapped__(*v, key=key))(state, x, y)
+        # A function of its own: JAX would keep a trace of `train_turn` itself, and give it to the tests that follow.
+        turn = jax.jit(lambda *v: train_turn.__wrapped__(*v, key=key))(state, x, y)
+    moved, found = move(state, turn), turn.losses
     assert [float(found[n]) for n in ("discriminator", "adversarial", "distance")] == pytest.approx(losses, rel=1e-4)
     for ours, theirs in ((moved.generator, g), (moved.discriminator, d)):
         for path, value in jax.tree_util.tree_leaves_with_path(ours):

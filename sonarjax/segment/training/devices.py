@@ -17,9 +17,8 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array
 
-from sonarjax._cores import quick_jit
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.segment.step import GanState, Losses, discriminative_step, train_step
+from sonarjax.segment.step import GanState, Losses, Turn, discriminative_turn, move, train_turn
 from sonarjax.segment.training.batches import Stored
 from sonarjax.segment.training.recipes import Recipe
 
@@ -85,14 +84,18 @@ def make_step(recipe: Recipe, mesh: Mesh) -> Callable[[GanState, Array, Array, A
     """The compiled step: state (donated), images and labels as bytes, the run's key data → next state and losses."""
     whole, split = copied(mesh), NamedSharding(mesh, PartitionSpec("batch"))
 
-    @partial(quick_jit, donate_argnums=0, in_shardings=(whole, split, split, whole), out_shardings=whole)
-    def step(state: GanState, image: Array, labels: Array, dropout: Any) -> tuple[GanState, Losses]:
+    @partial(jax.jit, in_shardings=(whole, split, split, whole), out_shardings=whole)
+    def take_turn(state: GanState, image: Array, labels: Array, dropout: Any) -> Turn:
         x = (image.astype(jnp.float32) / 127.5 - 1)[..., None]
         key = jax.random.fold_in(jax.random.wrap_key_data(dropout), state.step)
         if recipe.discriminative:
-            return discriminative_step(state, x, labels, key=key)
+            return discriminative_turn(state, x, labels, key=key)
         y = (labels == 1).astype(jnp.float32) - (labels == 2)
-        return train_step(state, x, y[..., None], key=key)
+        return train_turn(state, x, y[..., None], key=key)
+
+    def step(state: GanState, *batch: Any) -> tuple[GanState, Losses]:
+        turn = take_turn(state, *batch)
+        return move(state, turn), turn.losses
 
     return step
 
