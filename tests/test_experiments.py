@@ -108,10 +108,15 @@ def test_results_say_what_they_depend_on(tmp_path: Path):
     kept = json.loads(path.read_text())
     assert path.parent == run_folder(tmp_path, "test_experiments", asdict(Options(count=4)), 2)
     assert kept["settings"]["count"] == 4 and kept["seed"] == 2 and kept["preset"] == "full"
+    assert kept["changed"] == ["count"]
     assert {"sonarjax", "jax", "numpy", "python"} <= set(kept["versions"])
     assert {"git", "code", "device", "date", "command", "seconds"} <= set(kept)
     assert kept["rows"] == report["rows"]
     assert not list(tmp_path.rglob("parts.jsonl"))
+
+
+def test_a_value_that_the_preset_has_anyway_is_no_change(tmp_path: Path):
+    assert [start(tmp_path, "--count", n, "--preset", "smoke")[0]["changed"] for n in "12"] == [[], ["count"]]
 
 
 def test_several_seeds_are_told_one_by_one_then_as_mean_and_spread(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
@@ -219,9 +224,10 @@ def test_parts_of_the_same_name_under_two_titles_are_two(tmp_path: Path):
     assert job.map(lambda name: 2.0, ["a"], "second") == {"a": 2.0}
 
 
-def test_the_run_found_is_full_then_of_the_lowest_seed(tmp_path: Path):
-    for name, preset, seed in (("a", "smoke", 0), ("b", "full", 1), ("c", "full", 0)):
-        Job(tmp_path / "it" / name, seed).finish({"preset": preset, "seed": seed})
+def test_the_run_found_is_full_then_unchanged_then_of_the_lowest_seed(tmp_path: Path):
+    runs = (("a", "smoke", [], 0), ("b", "full", [], 2), ("c", "full", [], 1), ("d", "full", ["count"], 0))
+    for name, preset, changed, seed in runs:
+        Job(tmp_path / "it" / name, seed).finish({"preset": preset, "changed": changed, "seed": seed})
     assert find_run(tmp_path, "it").name == "c"
     with pytest.raises(SonarjaxError, match=r"`python -m experiments\.other` makes one"):
         find_run(tmp_path, "other")

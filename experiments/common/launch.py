@@ -50,7 +50,8 @@ def launch(
     try:
         for seed in common.seeds:
             job = Job(run_folder(Path(common.runs), name, asdict(chosen), seed), seed)
-            reports.append(_one(run, chosen, job, common.preset, name))
+            facts = {"experiment": name, "preset": common.preset, "changed": common.changed}
+            reports.append(_one(run, chosen, job, facts))
             print(f"\n{table(reports[-1])}\n\n{job.folder}: {reports[-1]['seconds']:.0f} s", flush=True)
     except Skipped as error:
         if common.preset != "smoke":
@@ -67,9 +68,9 @@ def launch(
     return reports
 
 
-def _one(run: Run, settings: Any, job: Job, preset: str, name: str) -> Report:
+def _one(run: Run, settings: Any, job: Job, facts: Report) -> Report:
     started = time.perf_counter()
-    facts = {"experiment": name, "preset": preset, "seed": job.seed, "settings": asdict(settings)} | circumstances()
+    facts = facts | {"seed": job.seed, "settings": asdict(settings)} | circumstances()
     report = facts | run(settings, job)
     report["seconds"] = time.perf_counter() - started
     job.finish(report)
@@ -79,7 +80,10 @@ def _one(run: Run, settings: Any, job: Job, preset: str, name: str) -> Report:
 def parse(
     settings: type, about: str, smoke: Mapping[str, Any], arguments: Sequence[str] | None = None
 ) -> tuple[Any, argparse.Namespace]:
-    """The settings that a command line asks for, and what all experiments take: preset, seeds, runs."""
+    """The settings that a command line asks for, and what all experiments take: preset, seeds, runs.
+
+    With them `changed`: the options that were given another value than the preset's.
+    """
     parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--preset", choices=("full", "smoke"), default="full", help="smoke: a run of seconds")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0], help="root seeds, one run each (default: 0)")
@@ -95,7 +99,9 @@ def parse(
     start = dict(smoke) if common.preset == "smoke" else {}
     asked = {k: tuple(v) if isinstance(v, list) else v for k, v in given.items() if v is not None}
     try:
-        return settings(**start | asked), common
+        chosen, preset = settings(**start | asked), settings(**start)
+        common.changed = [v.name for v in fields(settings) if getattr(chosen, v.name) != getattr(preset, v.name)]
+        return chosen, common
     except (ValueError, SonarjaxError) as error:
         parser.error(str(error))
 

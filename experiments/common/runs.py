@@ -117,15 +117,18 @@ def run_folder(runs: Path, experiment: str, settings: Mapping[str, Any], seed: i
 
 
 def find_run(runs: Path, experiment: str) -> Path:
-    """The folder of the newest finished run of an experiment, full ones and lower seeds first.
+    """The folder of the newest finished run of an experiment: full ones, unchanged settings and lower seeds first.
 
     Raises SonarjaxError that says how to make one when there is none.
     """
     found = [(json.loads(path.read_text(encoding="utf-8")), path) for path in runs.glob(f"{experiment}/*/{RESULTS}")]
     if not found:
         raise SonarjaxError(f"{runs / experiment}: no finished run; `python -m experiments.{experiment}` makes one")
-    best = max(found, key=lambda one: (one[0]["preset"] == "full", -one[0]["seed"], one[1].stat().st_mtime))
-    return best[1].parent
+    return max(found, key=lambda one: (*_rank(one[0]), one[1].stat().st_mtime))[1].parent
+
+
+def _rank(report: Mapping[str, Any]) -> tuple[bool, bool, int]:
+    return report["preset"] == "full", not report.get("changed"), -report["seed"]
 
 
 def load_report(folder: Path) -> dict[str, Any]:

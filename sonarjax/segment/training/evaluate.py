@@ -29,6 +29,7 @@ def predict_all(config: GanConfig, weights: Any, pairs: Stored) -> np.ndarray:
     """`predict` for any number of pairs, a few at a time: grey maps (pair, 128, 128)."""
     count = len(pairs.image)
     rows = np.minimum(np.arange(-(-count // AT_ONCE) * AT_ONCE), count - 1).reshape(-1, AT_ONCE)
+    weights = jax.device_get(weights)  # where they lie, in training or from a file, would be compiled in
     parts = [predict(config, weights, jnp.asarray(pairs.image[r] / np.float32(255))) for r in rows]
     return np.concatenate([np.asarray(part) for part in parts])[:count]
 

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.random import fold_in
 from jax.sharding import Mesh
@@ -145,7 +144,7 @@ class _Run:
             losses = {f"loss_{name}": value for name, value in self.losses.items()}
             journal.epoch(epoch, self.step, losses | self.metrics, contact_sheet(grey, self.validation))
         if stop or self._due(self.recipe.checkpoint_steps):
-            if not bool(local_copy(_all_finite(self.state))):
+            if not _all_finite(local_copy(self.state)):
                 raise self._diverged("a weight is not finite")
             self.checkpoints.save(self.state, self.step)
         return stop
@@ -187,7 +186,5 @@ class _Run:
         return path
 
 
-@jax.jit
-def _all_finite(tree: Any) -> jax.Array:
-    floats = [leaf for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, jnp.inexact)]
-    return jnp.stack([jnp.isfinite(leaf).all() for leaf in floats]).all()
+def _all_finite(tree: Any) -> bool:
+    return all(bool(np.isfinite(leaf).all()) for leaf in jax.tree.leaves(jax.device_get(tree)))
