@@ -131,5 +131,5 @@ def table(report: Report) -> str:
 
 
 if __name__ == "__main__":
-    small = {"bins_deg": (30,), "segmenters": ("none",), "step_deg": 180, "tilts_deg": (20.0,)}
+    small = {"bins_deg": (10,), "segmenters": ("none",), "step_deg": 180, "tilts_deg": (20.0,)}
     launch(run, Settings, table, smoke=small)
