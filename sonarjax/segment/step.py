@@ -1,8 +1,8 @@
 """One step of training, as pure jitted functions of a `GanState`: pix2pix, and cross-entropy with the same U-Net.
 
 A step is a *turn* (the maps, the discriminator's move, the generator's gradient) and then the generator's move: two
-compiled functions, which XLA makes sooner than one, and its CPU runs faster at small widths. Every mean runs over the
-whole batch, so a batch that is sharded over devices gives the step of one device.
+compiled functions, which XLA compiles sooner than one. Every mean runs over the whole batch, so a batch that is sharded
+over devices gives the step of one device.
 """
 
 from __future__ import annotations
@@ -162,7 +162,7 @@ def train_step(
 ) -> tuple[GanState, Losses]:
     """One step of both networks on images `x` and semantic maps `y`, both (batch, height, width, 1) in [−1, 1].
 
-    `state` is donated. See `train_turn` for the losses.
+    Dropout is drawn from `key`. `state` is donated. Losses by name: those of `train_turn`.
     """
     turn = train_turn(state, x, y, key=key)
     return move(state, turn), turn.losses
@@ -207,8 +207,8 @@ def train_turn(
     def judge_loss(params: Any) -> Array:
         return discriminator_loss(judge(y, params), judge(made, params))
 
-    lost, gradient = jax.value_and_grad(judge_loss)(state.discriminator)
-    discriminator, judge_optimiser = _adam(config, gradient, state.discriminator_optimiser, state.discriminator)
+    lost, judge_gradient = jax.value_and_grad(judge_loss)(state.discriminator)
+    discriminator, judge_optimiser = _adam(config, judge_gradient, state.discriminator_optimiser, state.discriminator)
 
     def answer(grey: Array) -> tuple[Array, Losses]:
         adversarial = adversarial_loss(judge(grey, discriminator), config.saturating)
@@ -234,7 +234,11 @@ def discriminative_turn(
     *,
     key: Array,
 ) -> Turn:
-    """The turn of the discriminative model, in which the discriminator rests; see `discriminative_step`."""
+    """The turn of the discriminative model, in which the discriminator rests.
+
+    Images `x` (batch, height, width, 1) in [−1, 1], `labels` (batch, height, width), dropout from `key`. Loss by name:
+    `cross_entropy`.
+    """
     config = state.config
 
     def loss(params: Any) -> tuple[Array, Any]:

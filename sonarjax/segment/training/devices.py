@@ -93,8 +93,8 @@ def make_step(recipe: Recipe, mesh: Mesh) -> Callable[[GanState, Array, Array, A
         y = (labels == 1).astype(jnp.float32) - (labels == 2)
         return train_turn(state, x, y[..., None], key=key)
 
-    def step(state: GanState, *batch: Any) -> tuple[GanState, Losses]:
-        turn = take_turn(state, *batch)
+    def step(state: GanState, image: Array, labels: Array, dropout: Any) -> tuple[GanState, Losses]:
+        turn = take_turn(state, image, labels, dropout)
         return move(state, turn), turn.losses
 
     return step
