@@ -168,7 +168,8 @@ def settings(found: dict[str, Run]) -> str:
         chosen = json.dumps(report["settings"], ensure_ascii=False)
         more.append(f"<p><b>{escape(name)}</b> {escape(versions)}<br><code>{escape(chosen)}</code></p>")
     head = ["experiment", "preset", "seed", "date", "commit", "code", "device", "time [s]", "command"]
-    return f"{html_table(head, rows)}<details><summary>settings and versions</summary>{''.join(more)}</details>"
+    made = f'<div class="runs">{html_table(head, rows)}</div>'
+    return f"{made}<details><summary>settings and versions</summary>{''.join(more)}</details>"
 
 
 def absent(runs: Path) -> str:

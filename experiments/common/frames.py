@@ -104,7 +104,7 @@ def observed(
 
     The one compiled function that draws the experiments' frames: objects of about as many triangles share its code.
     """
-    pose = jax.tree.map(jnp.float32, pose)
+    pose, model = jax.tree.map(jnp.float32, (pose, model))  # whole or fractions, in the same compiled code
     # A frame does not need to know how far the object reaches; the code would be traced anew for each such number.
     return _observed(replace(mesh, radius=0.0, top=0.0), pose, sonar, model, key)
 
