@@ -48,7 +48,7 @@ COLUMNS = {
     "psnr_gain_wide": ("gain, wide", "the gain on crops of twice the margin around the object [dB]"),
 }
 YAW_COLUMNS = {
-    "yaw_median": ("yaw median", "refined yaw error [°]; of truth, tiles and discriminative on the map alone"),
+    "yaw_median": ("yaw median", "refined yaw error [°]: on the map first, then on the frame"),
     "yaw_p95": ("yaw 95 %", "its 95th percentile [°]"),
 }
 

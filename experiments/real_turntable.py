@@ -24,13 +24,12 @@ from typing import Any, Literal, get_args
 
 import jax
 import numpy as np
-from scipy.stats import bootstrap
 from skimage.filters import median as median_filter
 from tqdm import tqdm
 
 import sonarjax as sj
 from experiments.common.launch import Report, Skipped, launch
-from experiments.common.metrics import columns, yaw_error_deg
+from experiments.common.metrics import columns, percentile_gap, yaw_error_deg
 from experiments.common.runs import Job
 from sonarjax.match import between_bins
 from sonarjax.match.ncc import correlation_maps, prepare_bank
@@ -47,7 +46,7 @@ BASELINES = {
     "otsu": {"tight crop": (2.4, 6.9), "fixed window": (1.7, 4.8)},
 }
 """Median and 90th percentile [deg] of the plain method in the data's README."""
-AIM = (1.7, 4.5)
+AIM = {"segmenter": "aim", "median_deg": 1.7, "p90_deg": 4.5}
 Segmenter = Literal["none", "otsu", "pix2pix"]
 Search = Literal["recognize", "tight crop", "fixed window"]
 HEADS = {
@@ -62,13 +61,14 @@ HEADS = {
     "frames_per_second": "frames/s",
 }
 
-COMPARED = {
+SUMMARY = {
+    "segmenter": "segmenter",
     "search": "search",
-    "other": "pix2pix less",
-    "p50": "median [°]",
-    "p50_range": "its range",
-    "p90": "90 % [°]",
-    "p90_range": "and its",
+    "median_deg": "refined, median [°]",
+    "p90_deg": "90 % [°]",
+    "plain": "plain method [°]",
+    "p50": "median of pix2pix less this one's [°]",
+    "p90": "90 % of pix2pix less this one's [°]",
 }
 
 
@@ -342,57 +342,52 @@ def _rows(found: Found, truth: np.ndarray, settings: Settings) -> dict[str, Any]
 
 
 def compared(per_frame: dict[str, Any], settings: Settings, seed: int) -> list[dict[str, Any]]:
-    """What pix2pix's refined yaw errs more than each baseline's: less than 0 is better.
-
-    With the middle 95 % of a bootstrap over frames, paired; neighbouring frames are alike, so it is a little narrow.
-    """
+    """How much more pix2pix's refined yaw errs than each baseline's (less than 0 is better), see `percentile_gap`."""
     rows = []
     for search, other in itertools.product(settings.searches, settings.segmenters):
         names = f"pix2pix, {search}, refined", f"{other}, {search}, refined"
-        if other == "pix2pix" or any(name not in per_frame for name in names):
-            continue
-        pair = [np.abs(per_frame[name]["error_deg"]) for name in names]
-        row: dict[str, Any] = {"search": search, "other": other}
-        for percentile in (50, 90):
-            more = partial(_gap, percentile=percentile)
-            drawn = bootstrap(pair, more, paired=True, method="percentile", rng=np.random.default_rng(seed))
-            numbers = more(*pair), *drawn.confidence_interval
-            row |= dict(zip((f"p{percentile}{end}" for end in ("", "_from", "_to")), map(float, numbers), strict=True))
-        rows.append(row)
+        if other != "pix2pix" and all(name in per_frame for name in names):
+            pair = [np.abs(per_frame[name]["error_deg"]) for name in names]
+            gaps = {f"p{k}": percentile_gap(*pair, k, seed) for k in (50, 90)}
+            rows.append({"search": search, "other": other} | gaps)
     return rows
 
 
-def _gap(one: np.ndarray, other: np.ndarray, axis: int = -1, *, percentile: float) -> Any:
-    return np.percentile(one, percentile, axis=axis) - np.percentile(other, percentile, axis=axis)
+def summary(report: Report) -> str:
+    """One row for each segmenter and search, for README: the refined yaw, what it is compared with, and by how much."""
+    less = {(row["search"], row["other"]): row for row in report["compared"]}
+    rows = []
+    for row in (row for row in report["rows"] if row["yaw"] == "refined"):
+        segmenter, search = row["segmenter"], row["search"]
+        plain = BASELINES.get(segmenter, {}).get(search)
+        shown = row | {"plain": plain and "{:.1f} / {:.1f}".format(*plain)}
+        for name in ("p50", "p90") if (search, segmenter) in less else ():
+            shown[name] = "{} ({} to {})".format(*map(_signed, less[search, segmenter][name]))
+        rows.append(shown)
+    return columns(rows, SUMMARY)
 
 
-def _shown(row: dict[str, Any]) -> dict[str, Any]:
-    return row | {f"{part}_range": f"{row[f'{part}_from']:+.2f} … {row[f'{part}_to']:+.2f}" for part in ("p50", "p90")}
+def _signed(value: float | str) -> str:
+    return value if isinstance(value, str) else f"{value:+.2f}"  # of several seeds it is text, mean ± spread
 
 
 def table(report: Report) -> str:
-    """A row for each segmenter, search and reading of the yaw, then the plain method's."""
-    plain = [
-        {"segmenter": segmenter, "search": window, "yaw": "plain method", "median_deg": middle, "p90_deg": high}
-        for segmenter, windows in BASELINES.items()
-        for window, (middle, high) in windows.items()
-    ]
-    aim = {"segmenter": "aim", "median_deg": AIM[0], "p90_deg": AIM[1]}
+    """A row for each segmenter, search and reading of the yaw, then the summary."""
     return "\n".join(
         [
             f"{report['frames']} frames; error of yaw modulo 180° after one constant offset",
             "",
-            columns([*report["rows"], *plain, aim], HEADS),
+            columns([*report["rows"], AIM], HEADS),
             "",
             "off place: frames whose target was found farther from the platform's centre than --reach. both halves:",
             "frames whose half-turned yaw is a hypothesis too (a bank at the known place is folded to half a turn, so",
             "always). frames/s: refinement included where there is one, compilation not. refined: as `recognize` does,",
             "on the map first and then on the frame.",
             "",
-            "pix2pix's refined error less the others', and the middle 95 % of a bootstrap over frames (the truth is",
-            "good to 1-2 degrees):",
+            "pix2pix's refined error less the others', and in brackets the middle 95 % of a bootstrap over frames (the",
+            "truth is good to 1-2 degrees). Plain method: median / 90 % in the data's README.",
             "",
-            columns([_shown(row) for row in report["compared"]], COMPARED),
+            summary(report),
             "",
             *(f"failed: {line}" for line in report["failures"]),
             *(f"picture: {path}" for path in report["sheets"]),

@@ -58,6 +58,8 @@ THRESHOLDS = {
 }
 """Least score of an identified target, for each segmenter; validation frames of experiments/fit_threshold.py."""
 
+GIVEN = "given"
+
 
 @dataclass(frozen=True)
 class Hypothesis:
@@ -102,7 +104,7 @@ class Recognition:
     hypotheses: tuple[Hypothesis, ...]
     """Possible yaws, best first."""
     segmenter: str
-    """What made the semantic map."""
+    """What made the semantic map; `given` for one of your own."""
     semantic: np.ndarray = field(repr=False)
     """The image (range, beam) that was matched."""
 
@@ -257,6 +259,7 @@ def recognize(
     sonar: Sonar,
     *,
     segmenter: str = DEFAULT_SEGMENTER,
+    semantic: Any = None,
     refine: bool = True,
     threshold: float | None = None,
     mask: Any = None,
@@ -267,12 +270,19 @@ def recognize(
     Neither distance nor bearing is given: banks at several distances find them. `mask` (range, beam) is true where a
     pixel was measured. `threshold` replaces the segmenter's own, which comes from validation frames. A bank has
     `yaw_bins` templates over the full circle; refining reaches a bin's width from the best of them, 10° or more.
+    A map of your own, `semantic` (range, beam) with shadow 0, background 0.5 and highlight 1, takes the place of the
+    segmenter's; it needs a `threshold`.
 
-    Raises SonarjaxError for an unknown segmenter, a shape that does not fit the sonar, values that are not finite, or
-    fewer than 4 yaw bins.
+    Raises SonarjaxError for an unknown segmenter, a shape that does not fit the sonar, values that are not finite, a
+    `semantic` map without a threshold, or fewer than 4 yaw bins.
     """
     image, mask = _checked(image, mask, sonar)
-    semantic = semantic_map(image, segmenter, mask)
+    if semantic is None:
+        semantic = semantic_map(image, segmenter, mask)
+    else:
+        semantic, segmenter = _checked(semantic, mask, sonar, "semantic")[0], GIVEN
+        if threshold is None:
+            raise SonarjaxError("threshold: expected a number beside a `semantic` map, there is none for it")
     recognizer = _recognizer(mesh, sonar, yaw_bins)
     match = recognizer.find(np.asarray(semantic, np.float32), mask)
     (x, y), bank, scores = recognizer.place(match), match.bank, match.scores
@@ -320,15 +330,15 @@ def refine_on_frame(image: Any, mesh: Mesh, sonar: Sonar, start: Pose, mask: Any
     return jax.tree.map(partial(jnp.where, second.score >= jnp.nan_to_num(first.score, nan=-1.0)), second, first)
 
 
-def _checked(image: Any, mask: Any, sonar: Sonar) -> tuple[np.ndarray, np.ndarray | None]:
+def _checked(image: Any, mask: Any, sonar: Sonar, name: str = "image") -> tuple[np.ndarray, np.ndarray | None]:
     image = np.asarray(image, np.float32)
     if image.shape != sonar.shape:
-        raise SonarjaxError(f"image: expected shape {sonar.shape} (range, beam) of the sonar, got {image.shape}")
+        raise SonarjaxError(f"{name}: expected shape {sonar.shape} (range, beam) of the sonar, got {image.shape}")
     mask = None if mask is None else np.asarray(mask, bool)
     if mask is not None and mask.shape != image.shape:
         raise SonarjaxError(f"mask: expected the image's shape {image.shape}, got {mask.shape}")
     if not np.isfinite(image if mask is None else image[mask]).all():
-        raise SonarjaxError("image: holds NaN or infinite values")
+        raise SonarjaxError(f"{name}: holds NaN or infinite values")
     return (image if mask is None else np.where(mask, image, 0.5).astype(np.float32)), mask
 
 

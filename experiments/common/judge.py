@@ -61,16 +61,15 @@ def recognize_all(
     `segmenter` is one of `common.segmenters`. Yaw is judged on the target alone: other frames are not refined.
     """
     sought, limit = target() if mesh is None else mesh, threshold_of(segmenter)
-    own = segmenter in SEGMENTERS  # what others make is matched as a frame that needs no segmenter
     results, seconds = [], []
     for frame in tqdm(frames, desc=segmenter, unit="frame", leave=False, disable=None):
         started = time.perf_counter()
         results.append(
             sj.recognize(
-                frame.image if own else map_of(segmenter, frame),
+                frame.image,
                 sought,
                 sonar_of(frame.tilt_deg),
-                segmenter=segmenter if own else "none",
+                **({"segmenter": segmenter} if segmenter in SEGMENTERS else {"semantic": map_of(segmenter, frame)}),
                 threshold=limit,
                 refine=refine and frame.is_target,
             )

@@ -1,4 +1,4 @@
-"""What experiments judge by: circular errors, accuracy at a threshold, and tables of rows for terminal and README."""
+"""What experiments judge by: circular errors, accuracy at a threshold, chance; and tables for terminal and README."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from scipy.stats import bootstrap
 
 HALF_BIN_DEG = 5.0 + 0.5  # the nearest of the 10° bins, or the other one at a tie
 
@@ -39,6 +40,21 @@ def summary_deg(errors: np.ndarray) -> dict[str, float]:
         "p95": float(np.percentile(errors, 95)),
         "within_1": float((errors <= 1.0).mean()),
     }
+
+
+def percentile_gap(errors: Any, others: Any, percentile: float, seed: int = 0) -> tuple[float, float, float]:
+    """A percentile of errors (frame,) less that of others (frame,) on the same frames; from where to where by chance.
+
+    The range is the middle 95 % of a paired bootstrap over frames (Efron and Tibshirani, An Introduction to the
+    Bootstrap, 1993, ch. 13), too narrow where neighbouring frames are alike.
+    """
+
+    def gap(one: np.ndarray, other: np.ndarray, axis: int = -1) -> Any:
+        return np.percentile(one, percentile, axis=axis) - np.percentile(other, percentile, axis=axis)
+
+    both, rng = (np.asarray(errors), np.asarray(others)), np.random.default_rng(seed)
+    low, high = bootstrap(both, gap, paired=True, method="percentile", rng=rng).confidence_interval
+    return float(gap(*both)), float(low), float(high)
 
 
 def markdown(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
