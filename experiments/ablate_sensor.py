@@ -18,6 +18,7 @@ from experiments.common.judge import recognize_all
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns
 from experiments.common.runs import Job
+from experiments.common.segmenters import Name
 from experiments.evaluate_segmenters import row
 from sonarjax.sensor import SensorModel
 
@@ -58,7 +59,7 @@ class Settings:
 
     parts: tuple[str, ...] = (NOTHING, *PARTS, EVERYTHING)
     """Parts of the sensor model to switch off, one at a time."""
-    segmenters: tuple[str, ...] = ("none", "pix2pix")
+    segmenters: tuple[Name, ...] = ("none", "pix2pix")
     """Segmenters to compare; with none, the correlation is the raw frame's."""
     step_deg: int = 30
     """Yaw step of each set [deg]; 10 gives the 288 frames of §4.1."""

@@ -17,6 +17,7 @@ from experiments.common.judge import judged, recognize_all
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns
 from experiments.common.runs import Job
+from experiments.common.segmenters import Name
 
 HEADS = {
     "severity": "severity",
@@ -35,7 +36,7 @@ class Settings:
 
     severities: tuple[float, ...] = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0)
     """Severities of the sensor model; 1 is calibrated to the paper's frames, training saw 0 to 2."""
-    segmenters: tuple[str, ...] = ("pix2pix", "none", "otsu")
+    segmenters: tuple[Name, ...] = ("pix2pix", "none", "otsu")
     """Segmenters to compare."""
     step_deg: int = 20
     """Yaw step of each set [deg]; 10 gives the 288 frames of §4.1."""

@@ -20,7 +20,7 @@ import sonarjax as sj
 from experiments.common.frames import GROUND_RANGE_M, TestFrame, paper_frames, sonar_for
 from experiments.common.judge import target
 from experiments.common.launch import Report, launch
-from experiments.common.metrics import HALF_BIN_DEG, best_accuracy, columns, yaw_error_deg
+from experiments.common.metrics import WITHIN_BIN_DEG, best_accuracy, columns, yaw_error_deg
 from experiments.common.runs import Job
 from experiments.common.segmenters import map_of
 from sonarjax.match import prepare_bank
@@ -100,7 +100,7 @@ def judged_at_place(scores: np.ndarray, frames: Sequence[TestFrame]) -> dict[str
     own = np.array([frame.is_target for frame in frames])
     true, count = np.array([frame.yaw for frame in frames]), scores.shape[1]
     yaws = np.arange(count) * (2 * np.pi / count)
-    right = yaw_error_deg(yaws[scores.argmax(axis=1)], true) <= HALF_BIN_DEG
+    right = yaw_error_deg(yaws[scores.argmax(axis=1)], true) <= WITHIN_BIN_DEG
     best, threshold = best_accuracy(scores.max(axis=1), right, own)
     off = yaw_error_deg(yaws, true[:, None])  # (frame, yaw)
     nearest = np.take_along_axis(scores, off.argmin(axis=1)[:, None], axis=1)[:, 0]

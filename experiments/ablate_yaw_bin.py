@@ -22,10 +22,9 @@ import sonarjax as sj
 from experiments.common.frames import TILTS_DEG, TestFrame, paper_frames, sonar_for
 from experiments.common.judge import target
 from experiments.common.launch import Report, launch
-from experiments.common.metrics import HALF_BIN_DEG, columns, summary_deg, yaw_error_deg
+from experiments.common.metrics import WITHIN_BIN_DEG, columns, summary_deg, yaw_error_deg
 from experiments.common.runs import Job
-from experiments.common.segmenters import map_of
-from sonarjax.segment import SEGMENTERS
+from experiments.common.segmenters import Name, asked_for
 
 ASTRAY_DEG = 20.0  # farther off than any bin's half: another aspect of the object was taken for this one
 HEADS = {
@@ -56,7 +55,7 @@ class Settings:
 
     bins_deg: tuple[int, ...] = (2, 5, 10, 15, 30)
     """Widths of a yaw bin [deg], divisors of 360; the paper's is 10."""
-    segmenters: tuple[str, ...] = ("truth", "pix2pix", "none")
+    segmenters: tuple[Name, ...] = ("truth", "pix2pix", "none")
     """Segmenters to compare; truth is the true map, drawn by the renderer that refines: it shows the bins alone."""
     step_deg: int = 20
     """Yaw step of each set [deg]; each frame's yaw is drawn anywhere in its step."""
@@ -97,7 +96,7 @@ def _measure(frames: Sequence[TestFrame], case: tuple[str, int]) -> dict[str, fl
         found = [_find(frame, segmenter, width, refine) for frame in frames]
         error = yaw_error_deg([one.yaw for one in found], true)
         values |= {f"{stage}_{name}": value for name, value in summary_deg(error).items()}
-        values[f"{stage}_right"] = float((error <= HALF_BIN_DEG * width / 10).mean())
+        values[f"{stage}_right"] = float((error <= WITHIN_BIN_DEG * width / 10).mean())
         values[f"{stage}_astray"] = float((error > ASTRAY_DEG).mean())
         # The median, since the first frames of a sonar render its banks, which are kept.
         values[f"{stage}_ms"] = float(np.median([one.milliseconds for one in found]))
@@ -105,13 +104,9 @@ def _measure(frames: Sequence[TestFrame], case: tuple[str, int]) -> dict[str, fl
 
 
 def _find(frame: TestFrame, segmenter: str, width: int, refine: bool) -> Yaw:
-    # `recognize` knows its own segmenters only; the true map is matched as a frame that needs none.
-    own = segmenter in SEGMENTERS
-    image, name = (frame.image, segmenter) if own else (map_of(segmenter, frame), "none")
+    how, sonar = asked_for(segmenter, frame), sonar_for(frame.tilt_deg)
     started = time.perf_counter()
-    found = sj.recognize(
-        image, target(), sonar_for(frame.tilt_deg), segmenter=name, refine=refine, yaw_bins=360 // width
-    )
+    found = sj.recognize(frame.image, target(), sonar, **how, refine=refine, yaw_bins=360 // width)
     return Yaw(found.yaw, 1e3 * (time.perf_counter() - started))
 
 

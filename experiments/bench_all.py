@@ -8,7 +8,6 @@ and aim. Ratios above 1 say that ours is faster than the peer. A peer that is no
 
 from __future__ import annotations
 
-import importlib.util
 import os
 from dataclasses import dataclass
 from types import ModuleType
@@ -53,7 +52,7 @@ def _report(name: str, settings: Settings, job: Job) -> Report:
     module = PARTS[name]
     chosen = dict(module.SMOKE) if settings.brief else {}
     if name in PEERS:
-        chosen["peer"] = importlib.util.find_spec(PEERS[name]) is not None
+        chosen["peer"] = bench_match.has(PEERS[name])
     return module.run(module.Settings(**chosen), job)
 
 

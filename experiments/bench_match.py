@@ -24,7 +24,14 @@ from experiments.common.runs import Job
 from sonarjax.match import match_bank, prepare_bank
 
 OURS, SKIMAGE = "sonarjax, spectra kept", "scikit-image loop"
-SMOKE = {"yaws": (36,), "repeats": 3}
+
+
+def has(module: str) -> bool:
+    """Whether a peer's module is installed."""
+    return importlib.util.find_spec(module) is not None
+
+
+SMOKE = {"yaws": (36,), "repeats": 3, "peer": has("cv2")}
 
 
 @dataclass(frozen=True)
@@ -51,7 +58,7 @@ class Settings:
 
 def need(module: str, package: str) -> None:
     """Raise Skipped, saying what to install, when the peer's `module` is not there."""
-    if importlib.util.find_spec(module) is None:
+    if not has(module):
         raise Skipped(f"{package} is not installed: install it, or time ours without it by --no-peer")
 
 
@@ -140,8 +147,9 @@ def run(settings: Settings, job: Job) -> Report:
     """Times [ms], ratios to ours and largest score differences, one row for each number of templates and contender."""
     if settings.peer:
         need("cv2", "OpenCV")
-    rows = [row for count in settings.yaws for row in compare(count, settings, job.seed)]
-    return {"platform": jax.devices()[0].platform, "rows": rows}
+    cases = {f"{count} templates": count for count in settings.yaws}
+    found = job.map(lambda count: compare(count, settings, job.seed), cases, "match")
+    return {"platform": jax.devices()[0].platform, "rows": [row for rows in found.values() for row in rows]}
 
 
 def compare(count: int, settings: Settings, seed: int) -> list[dict[str, Any]]:

@@ -122,9 +122,13 @@ def recognition(mesh: Mesh, sonar: Sonar, frames: np.ndarray) -> tuple[float, li
 
 def run(settings: Settings, job: Job) -> Report:
     """Times a frame [ms], yaw errors [deg], the gradient's cost and the recognition's rate."""
+    return job.map(lambda _: _measure(settings, job.seed), ["all"], "refine")["all"]
+
+
+def _measure(settings: Settings, seed: int) -> Report:
     mesh, sonar = target(), make_sonar()
-    frames, poses = make_frames(mesh, sonar, max(settings.batch, settings.frames), settings.noise, job.seed)
-    calls = refinements(mesh, sonar, frames, poses, settings, job.seed)
+    frames, poses = make_frames(mesh, sonar, max(settings.batch, settings.frames), settings.noise, seed)
+    calls = refinements(mesh, sonar, frames, poses, settings, seed)
     seconds, results = time_all({name: function for name, (_, function) in calls.items()}, settings.repeats)
     rows = []
     for name, (count, _) in calls.items():

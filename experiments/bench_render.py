@@ -9,14 +9,16 @@ gradient and no shares of pixels. Open3D is of the extra `bench`; --no-peer does
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
-from experiments.bench_match import need, time_all
+from experiments.bench_match import has, need, time_all
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import markdown
 from experiments.common.runs import Job
@@ -28,7 +30,7 @@ from sonarjax.sonar import Sonar
 X_M = 2.3  # where the object stands
 SAME_SURFACE_BINS = 8  # neighbouring rays whose ranges differ by less belong to one surface: bins between are filled
 OURS, TURNED, REBUILT = "sonarjax", "Embree, rays turned", "Embree, scene rebuilt"
-SMOKE = {"views": 12, "big_views": 2, "triangles": (100, 1_000), "repeats": 3}
+SMOKE = {"views": 12, "big_views": 2, "triangles": (100, 1_000), "repeats": 3, "peer": has("open3d")}
 
 
 @dataclass(frozen=True)
@@ -217,12 +219,17 @@ def run(settings: Settings, job: Job) -> Report:
     """The bank of the brick pile, a mesh of 40,000 triangles and the cost curve: seconds, ratios, growth."""
     if settings.peer:
         need("open3d", "Open3D")
-    sonar = make_sonar()
-    report: Report = {"platform": jax.devices()[0].platform}
-    report["bank"] = compare(target(), sonar, settings.views, settings, variants=True)
-    report["big"] = compare(ball(rings=100, sectors=200), sonar, settings.big_views, settings, variants=False)
-    curve = [compare(ball_of(n), sonar, settings.big_views, settings, variants=False) for n in settings.triangles]
-    report["curve"] = sorted([*curve, report["big"]], key=lambda row: row["triangles"])
+    sonar, views = make_sonar(), settings.big_views
+
+    def measure(case: tuple[Callable[[], Mesh], int, bool]) -> dict[str, Any]:
+        make, views, variants = case
+        return compare(make(), sonar, views, settings, variants)
+
+    cases = {"bank": (target, settings.views, True), "big": (partial(ball, rings=100, sectors=200), views, False)}
+    cases |= {f"{count} triangles": (partial(ball_of, count), views, False) for count in settings.triangles}
+    found = job.map(measure, cases, "render")
+    report: Report = {"platform": jax.devices()[0].platform, "bank": found.pop("bank"), "big": found["big"]}
+    report["curve"] = sorted(found.values(), key=lambda row: row["triangles"])
     report["growth"] = {name: growth(report["curve"], name) for name in (OURS, TURNED)}
     report["figure"] = draw(report, job.folder)
     return report

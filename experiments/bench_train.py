@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.bench_match import need
+from experiments.bench_match import has, need
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import markdown
 from experiments.common.runs import Job
@@ -34,7 +34,7 @@ PROJECT = Path(__file__).resolve().parent.parent
 SIDE = "from experiments import bench_train; bench_train.one_side()"  # what a process of one side runs
 WORK = ("training", "inference", "one patch")
 PAIRS = 128
-SMOKE = {"widths": (4,), "batch": 2, "steps": 2, "rounds": 1, "pairs": False}
+SMOKE = {"widths": (4,), "batch": 2, "steps": 2, "rounds": 1, "pairs": False, "peer": has("torch")}
 
 
 @dataclass(frozen=True)
@@ -157,12 +157,12 @@ def run(settings: Settings, job: Job) -> Report:
     """Seconds and images/s of each side by width and kind of work, and pairs made a second."""
     if settings.peer:
         need("torch", "PyTorch")
-    load, rows = os.getloadavg()[0], []
-    for width in settings.widths:
-        rows += compare(width, settings)
+    load = os.getloadavg()[0]
+    found = job.map(lambda width: compare(width, settings), {f"width {w}": w for w in settings.widths}, "train")
+    made = job.map(lambda _: 1 / in_process("pairs", 0, settings)[0], ["made"], "pairs") if settings.pairs else {}
     return {
-        "rows": rows,
-        "pairs": 1 / in_process("pairs", 0, settings)[0] if settings.pairs else None,
+        "rows": [row for rows in found.values() for row in rows],
+        "pairs": made.get("made"),
         "batch": settings.batch,
         "load": [load, os.getloadavg()[0]],
         "cores": 1 if settings.one_core else cores(),

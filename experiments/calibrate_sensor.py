@@ -21,13 +21,12 @@ import numpy as np
 from tqdm import tqdm
 
 import sonarjax as sj
-from experiments.common.frames import GROUND_RANGE_M, TILTS_DEG, observed, sonar_for
+from experiments.common.frames import GROUND_RANGE_M, TILTS_DEG, VALIDATION_SEED, observed, sonar_for
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import markdown
 from experiments.common.paper import TABLE_4
 from experiments.common.runs import Job
 from experiments.common.tables import off_diagonal
-from experiments.fit_threshold import VALIDATION_SEED
 from sonarjax.io import write_png
 from sonarjax.sensor import SensorModel
 

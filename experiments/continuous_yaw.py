@@ -26,6 +26,7 @@ from experiments.common.judge import recognize_all, target
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns, summary_deg
 from experiments.common.runs import Job
+from experiments.common.segmenters import Name
 from sonarjax.segment import SEGMENTERS, semantic_map
 
 HALF_BIN_DEG = 5.0
@@ -49,7 +50,7 @@ COST_HEADS = {"what": "what", "single": "one frame [ms]", "each": "each of a bat
 class Settings:
     """What is measured."""
 
-    segmenters: tuple[str, ...] = ("truth", "pix2pix", "none")
+    segmenters: tuple[Name, ...] = ("truth", "pix2pix", "none")
     """Segmenters to compare; truth is the map without noise."""
     step_deg: int = 10
     """Yaw step of each set [deg], a multiple of 10; 10 gives 144 frames of the target."""

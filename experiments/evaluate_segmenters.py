@@ -21,7 +21,7 @@ from experiments.common.launch import Report, launch
 from experiments.common.maps import map_metrics
 from experiments.common.metrics import columns
 from experiments.common.runs import Job
-from experiments.common.segmenters import available
+from experiments.common.segmenters import Name, available
 
 SetName = Literal["severity 1", "offset yaw", "severity 1.5", "mirror image", "other devices"]
 SETS: dict[str, dict[str, Any]] = {
@@ -57,7 +57,7 @@ YAW_COLUMNS = {
 class Settings:
     """What is evaluated."""
 
-    segmenters: tuple[str, ...] = available()
+    segmenters: tuple[Name, ...] = available()
     """Segmenters to compare; truth is the true map, pix2pix-tiles the network without its closer looks."""
     sets: tuple[SetName, ...] = tuple(SETS)  # type: ignore[assignment]
     """Sets of frames."""

@@ -21,12 +21,11 @@ import numpy as np
 from tqdm import tqdm
 
 import sonarjax as sj
-from experiments.common.frames import TILTS_DEG, TestFrame, paper_frames, sonar_for
+from experiments.common.frames import TILTS_DEG, VALIDATION_SEED, TestFrame, paper_frames, sonar_for
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns, summary_deg, yaw_error_deg
 from experiments.common.runs import Job
-from experiments.common.segmenters import map_of
-from experiments.fit_threshold import VALIDATION_SEED
+from experiments.common.segmenters import Name, map_of
 from sonarjax.recognize import ON_FRAME, REFINEMENT
 
 BLURS = ((2.0, 0.8), (4.0, 1.5), (1.0, 0.5))
@@ -52,7 +51,7 @@ HEADS = {
 class Settings:
     """What is compared."""
 
-    segmenters: tuple[str, ...] = ("pix2pix", "none")
+    segmenters: tuple[Name, ...] = ("pix2pix", "none")
     """Segmenters whose maps are refined on."""
     step_deg: int = 30
     """Yaw step of the validation frames [deg]."""

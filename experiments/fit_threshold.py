@@ -16,14 +16,12 @@ import numpy as np
 from tqdm import tqdm
 
 import sonarjax as sj
-from experiments.common.frames import TILTS_DEG, TestFrame, paper_frames, sonar_for
+from experiments.common.frames import TILTS_DEG, VALIDATION_SEED, TestFrame, paper_frames, sonar_for
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns
 from experiments.common.runs import Job
-from experiments.common.segmenters import available, map_of
+from experiments.common.segmenters import Name, available, map_of
 
-VALIDATION_SEED = 1000
-"""Added to a run's seed: no experiment's test frames have it."""
 HEADS = {
     "segmenter": "segmenter",
     "threshold": "threshold",
@@ -40,7 +38,7 @@ class Settings:
 
     step_deg: int = 20
     """Yaw step of the validation frames [deg]."""
-    segmenters: tuple[str, ...] = available()
+    segmenters: tuple[Name, ...] = available()
     """Segmenters, each with a threshold of its own."""
     tilts_deg: tuple[float, ...] = TILTS_DEG
     """Tilts of the sonar [deg], of those of §4.1."""

@@ -31,9 +31,9 @@ import sonarjax as sj
 from experiments.common.launch import Report, Skipped, launch
 from experiments.common.metrics import columns, percentile_gap, yaw_error_deg
 from experiments.common.runs import Job
+from experiments.common.sheets import COLUMNS, Panel, draw_sheet
 from sonarjax.match import between_bins
 from sonarjax.match.ncc import correlation_maps, prepare_bank
-from sonarjax.plot import draw_outline, plot_polar, save_figure
 from sonarjax.recognize import REFINEMENT, refine_on_frame
 from sonarjax.render.bank import bank_place
 from sonarjax.render.region import floor_point
@@ -155,8 +155,8 @@ def load(settings: Settings) -> Data:
             raise Skipped(f"{folder / needed} is missing: --data must be the folder of the real frames")
     with open(folder / "truth.csv", newline="") as file:
         rows = [(row["frame"], math.radians(float(row["pseudo_yaw_deg"]))) for row in csv.DictReader(file)]
-    if 0 < settings.frames < len(rows):
-        rows = [rows[round(k)] for k in np.linspace(0, len(rows) - 1, settings.frames)]
+    if settings.frames > 0:
+        rows = [rows[k] for k in _spread_over(len(rows), settings.frames)]
     images, masks = [], []
     for name, _ in rows:
         with np.load(folder / "frames" / f"{name}.npz") as frame:
@@ -187,7 +187,7 @@ def matched_image(image: np.ndarray, mask: np.ndarray, segmenter: str, width: in
 
 
 def by_recognize(data: Data, settings: Settings, segmenter: str) -> Found:
-    """`recognize` as a user calls it: neither distance nor bearing is given."""
+    """`recognize` as a user calls it: neither distance nor bearing is given. `none` gets the median of the frame."""
     yaws: dict[str, list[float]] = {"bin": [], "bin, parabola": []} | ({"refined": []} if settings.refine else {})
     found = Found(segmenter, "recognize", yaws, [], [], [])
     for image, mask in tqdm(list(zip(data.images, data.masks, strict=True)), desc=f"recognize, {segmenter}"):
@@ -306,8 +306,8 @@ def _measure(data: Data, settings: Settings, folder: Path, case: tuple[str, str]
         return {"rows": [], "per_frame": {}, "failure": str(error)}
     part = _rows(found, data.truth, settings) | {"failure": None}
     if settings.sheet > 0 and search in ("recognize", "fixed window"):
-        part["sheet"] = folder / f"sheet_{search.replace(' ', '_')}_{segmenter}.png"
-        _draw_sheet(part["sheet"], data, settings, found)
+        path = folder / f"sheet_{search.replace(' ', '_')}_{segmenter}.png"
+        part["sheet"] = _draw_found(path, data, settings, found)
     return part
 
 
@@ -382,7 +382,7 @@ def table(report: Report) -> str:
             "off place: frames whose target was found farther from the platform's centre than --reach. both halves:",
             "frames whose half-turned yaw is a hypothesis too (a bank at the known place is folded to half a turn, so",
             "always). frames/s: refinement included where there is one, compilation not. refined: as `recognize` does,",
-            "on the map first and then on the frame.",
+            "on the map first and then on the frame. none: the frame after a median filter of --median pixels.",
             "",
             "pix2pix's refined error less the others', and in brackets the middle 95 % of a bootstrap over frames (the",
             "truth is good to 1-2 degrees). Plain method: median / 90 % in the data's README.",
@@ -395,54 +395,40 @@ def table(report: Report) -> str:
     )
 
 
-def _draw_sheet(path: Path, data: Data, settings: Settings, found: Found) -> None:
-    """Contact sheet: raw frames in polar view, the matched template's outline over them, the error above."""
-    from matplotlib.figure import Figure
+def _panel(data: Data, k: int, title: str = "", template: np.ndarray | None = None) -> Panel:
+    image = data.images[k]
+    return Panel(image, float(np.percentile(image[data.masks[k]], 99.5)), f"{data.names[k]}{title}", template)
 
+
+def _draw_found(path: Path, data: Data, settings: Settings, found: Found) -> Path:
+    """Contact sheet: raw frames, the matched template's outline over them, the error above."""
     reading = list(found.yaws)[-1]
     error, _ = errors_deg(np.array(found.yaws[reading]), data.truth)
-    count = min(settings.sheet, len(data.names))
-    chosen = [round(k) for k in np.linspace(0, len(data.names) - 1, count)]
-    columns = min(10, count)
-    rows = -(-count // columns)
-    figure = Figure(figsize=(2.0 * columns, 2.4 * rows + 0.5), layout="constrained")
-    axes = figure.subplots(rows, columns, squeeze=False).ravel()
-    for ax in axes:
-        ax.set_axis_off()
-    for ax, k in zip(axes, chosen, strict=False):
-        image, mask = data.images[k], data.masks[k]
-        plot_polar(ax, image, data.sonar, vmin=0, vmax=float(np.percentile(image[mask], 99.5)))
-        template = np.asarray(sj.render(data.mesh, found.poses[k], data.sonar).semantic())
-        draw_outline(ax, template, data.sonar, linewidth=0.9)
-        ax.set_title(f"{data.names[k]}  {error[k]:+.1f}°", fontsize=8)
-    figure.suptitle(
-        f"{found.search}, segmenter {found.segmenter}: matched template's highlight (orange), shadow (blue, dashed); "
-        f"error of the yaw ({reading})",
-        fontsize=9,
-    )
-    save_figure(figure, path, dpi=110)
+    panels = [
+        _panel(data, k, f"  {error[k]:+.1f}°", np.asarray(sj.render(data.mesh, found.poses[k], data.sonar).semantic()))
+        for k in _spread_over(len(data.names), settings.sheet)
+    ]
+    title = "matched template's highlight (orange), shadow (blue, dashed)"
+    about = f"{found.search}, segmenter {found.segmenter}: {title}; error of the yaw ({reading})"
+    return draw_sheet(path, panels, data.sonar, about)
 
 
 def _draw_maps(path: Path, data: Data, settings: Settings) -> Path:
-    """Contact sheet: raw frames in polar view, and under each what the network makes of it."""
-    from matplotlib.figure import Figure
+    """Contact sheet: raw frames, and under each what the network makes of it."""
+    chosen = _spread_over(len(data.names), min(settings.sheet, 2 * COLUMNS))
+    panels: list[Panel | None] = []
+    for first in range(0, len(chosen), COLUMNS):
+        line = chosen[first : first + COLUMNS]
+        empty = [None] * (min(COLUMNS, len(chosen)) - len(line))
+        maps = [Panel(semantic_map(data.images[k], "pix2pix", data.masks[k]), 1.0) for k in line]
+        panels += [*(_panel(data, k) for k in line), *empty, *maps, *empty]
+    about = "real frames, and under each the map that pix2pix makes of it: highlight white, shadow black"
+    return draw_sheet(path, panels, data.sonar, about)
 
-    chosen = [round(k) for k in np.linspace(0, len(data.names) - 1, min(settings.sheet, 20, len(data.names)))]
-    columns = min(10, len(chosen))
-    rows = 2 * -(-len(chosen) // columns)
-    figure = Figure(figsize=(2.0 * columns, 2.3 * rows + 0.5), layout="constrained")
-    axes = figure.subplots(rows, columns, squeeze=False)
-    for ax in axes.ravel():
-        ax.set_axis_off()
-    for place, k in enumerate(chosen):
-        image, mask = data.images[k], data.masks[k]
-        above, below = (axes[2 * (place // columns) + part, place % columns] for part in (0, 1))
-        plot_polar(above, image, data.sonar, vmin=0, vmax=float(np.percentile(image[mask], 99.5)))
-        plot_polar(below, semantic_map(image, "pix2pix", mask), data.sonar, vmin=0, vmax=1)
-        above.set_title(data.names[k], fontsize=8)
-    figure.suptitle("real frames, and under each the map that pix2pix makes of it: highlight white, shadow black")
-    save_figure(figure, path, dpi=110)
-    return path
+
+def _spread_over(count: int, most: int) -> list[int]:
+    """Numbers of `most` frames of `count`, or of all if there are fewer, evenly spread."""
+    return [round(k) for k in np.linspace(0, count - 1, min(most, count))]
 
 
 if __name__ == "__main__":

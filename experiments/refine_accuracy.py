@@ -30,9 +30,9 @@ from sonarjax.refine import refine_yaw
 from sonarjax.render import Window, place_window, render_window, window_shape
 from sonarjax.scene import Mesh, Pose
 from sonarjax.scene.objects import target
+from sonarjax.segment.classical import to_grey
 from sonarjax.sonar import Sonar
 
-GREY = np.array([0.5, 1.0, 0.0], np.float32)
 CASES = ((10.0, 0.0), (10.0, 0.08), (20.0, 0.0))  # largest start error [deg], probability that a label is replaced
 FIRST_SEED = 1  # 0 is the seed of the frames that refinement's blurs and sharpness were chosen on
 HEADS = {
@@ -110,7 +110,7 @@ def measure(settings: Settings, seed: int, case: tuple[float, float, float]) -> 
     labels = np.where(replaced, rng.integers(0, 3, labels.shape), labels)
     off = rng.uniform(-1, 1, (count, 3)) * [math.radians(start_deg), reach, reach]
     yaw, x, y = (poses + off).astype(np.float32).T
-    error = yaw_error_deg(refine_yaw(GREY[labels], mesh, sonar, Pose(x, y, yaw)).yaw, poses[:, 0])
+    error = yaw_error_deg(refine_yaw(to_grey(labels), mesh, sonar, Pose(x, y, yaw)).yaw, poses[:, 0])
     shape = window_shape(mesh, sonar, away, 0.05)
     windows = [place_window(shape, mesh, sonar, float(p[1]), float(p[2])) for p in poses]
     corners = tuple(jnp.asarray([int(v) for v in values]) for values in zip(*(w[:2] for w in windows), strict=True))

@@ -21,6 +21,7 @@ from experiments.common.launch import Report, launch
 from experiments.common.maps import map_metrics
 from experiments.common.metrics import columns
 from experiments.common.runs import Job, load_arrays
+from experiments.common.segmenters import Name
 from experiments.common.tables import correlation_table, off_diagonal, receiver_curve
 
 HEADS = {
@@ -44,7 +45,7 @@ EXAMPLES = 4  # frames of each kind whose pictures are kept for Fig. 8: one a se
 class Settings:
     """What is computed."""
 
-    segmenters: tuple[str, ...] = ("pix2pix", "none", "otsu")
+    segmenters: tuple[Name, ...] = ("pix2pix", "none", "otsu")
     """Segmenters to compare; the first is the paper's, and `none` is what Table 4 shows."""
     step_deg: int = 10
     """Yaw step of each set [deg], a divisor of 90; 10 gives the 288 frames of §4.1."""

@@ -132,8 +132,8 @@ def _measure(mesh: sj.Mesh, frames: list[Drawn]) -> Callable[[str], dict[str, An
     def measure(segmenter: str) -> dict[str, Any]:
         found = np.full((2, len(frames), HYPOTHESES), np.nan)
         for k, (_, image, clean) in enumerate(frames):
-            seen, how = (clean, "none") if segmenter == "truth" else (image, segmenter)
-            for n, h in enumerate(sj.recognize(seen, mesh, sonar_for(TILT_DEG), segmenter=how).hypotheses):
+            how = {"semantic": clean, "threshold": 0.0} if segmenter == "truth" else {"segmenter": segmenter}
+            for n, h in enumerate(sj.recognize(image, mesh, sonar_for(TILT_DEG), **how).hypotheses):
                 found[:, k, n] = math.degrees(h.yaw), h.score
         return {"yaw_deg": found[0], "score": found[1]}
 

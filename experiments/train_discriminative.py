@@ -2,7 +2,7 @@
 
 python -m experiments.train_discriminative [--preset smoke] [--help]
 
-The file that the recipe `cpu` leaves, training/weights.safetensors in the run's folder, is the baseline
+The file that the recipe `cpu` leaves, <code>/training/weights.safetensors in the run's folder, is the baseline
 `discriminative.safetensors` beside this script. An interrupted training goes on from its last checkpoint.
 """
 
@@ -15,7 +15,7 @@ from typing import Literal
 
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import markdown
-from experiments.common.runs import Job
+from experiments.common.runs import Job, code_digest
 from sonarjax.segment.training import Recipe, TrainResult, discriminative, find_recipe, train
 
 
@@ -30,7 +30,7 @@ class Settings:
 def run(settings: Settings, job: Job) -> Report:
     """The validation metrics after the last epoch, and where the weights are."""
     recipe = replace(discriminative(find_recipe(settings.recipe)), run_seed=job.seed)
-    result = train_to_the_end(recipe, job.folder / "training")
+    result = train_to_the_end(recipe, job.folder / code_digest() / "training")  # never on from other code's checkpoint
     return {"metrics": result.metrics, "weights": result.weights}
 
 

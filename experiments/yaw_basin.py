@@ -10,6 +10,7 @@ that is for. `yaw_landscape` shows the loss behind it.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal
@@ -25,9 +26,9 @@ from experiments.common.metrics import columns, yaw_error_deg
 from experiments.common.runs import Job
 from sonarjax.refine.yaw import BLURS_PX, BOUNDS, ITERATIONS, SHARPNESS
 from sonarjax.segment import semantic_map
+from sonarjax.segment.classical import to_grey
 
 SHARPNESS_OF = {"labels": SHARPNESS, "pix2pix": 0.0}
-GREY = np.array([0.5, 1.0, 0.0], np.float32)
 CONVERGED = 8  # sub-beams of the renders that labels are made of
 START_STEP_DEG = 5.0
 HEADS = {
@@ -66,7 +67,7 @@ def run(settings: Settings, job: Job) -> Report:
     rows: list[dict[str, Any]] = []
     ends: dict[str, np.ndarray] = {}
     for name in settings.maps:
-        images = [map_of(name, frame) for frame in frames]
+        images = [image_of(name, frame) for frame in frames]
         for blurs in (BLURS_PX, BLURS_PX[1:]) if settings.fine else (BLURS_PX,):
             said = ", ".join(f"{blur:g}" for blur in blurs)
             # As many iterations in all, or a short ladder would also reach less far.
@@ -89,12 +90,12 @@ def target_frames(seed: int, step_deg: int, tilts_deg: Sequence[float] = TILTS_D
     return [frame for frame in frames if frame.is_target]
 
 
-def map_of(name: MapName, frame: TestFrame) -> np.ndarray:
+def image_of(name: MapName, frame: TestFrame) -> np.ndarray:
     """The image (range, beam) that is refined on: labels of a converged render, or the network's map."""
     if name == "pix2pix":
         return semantic_map(frame.image, "pix2pix")
     rendered = sj.render(target(), moved(frame), sonar_for(frame.tilt_deg), sub_beams=CONVERGED)
-    return GREY[np.asarray(rendered.labels())]
+    return to_grey(np.asarray(rendered.labels()))
 
 
 def moved(frame: TestFrame, yaw_deg: Any = 0.0, x: Any = 0.0, y: Any = 0.0) -> sj.Pose:

@@ -25,11 +25,11 @@ from experiments.common.judge import target
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns
 from experiments.common.runs import Job
-from experiments.yaw_basin import CONVERGED, SHARPNESS_OF, MapName, map_of, moved, target_frames
+from experiments.yaw_basin import CONVERGED, SHARPNESS_OF, MapName, image_of, moved, target_frames
 from sonarjax._cores import quick_jit
 from sonarjax.refine.objective import ROW_STRIDE, Blur, Problem, make_blur, normalised
 from sonarjax.refine.template import draw_with_slope
-from sonarjax.refine.yaw import BLURS_PX, BOUNDS, ITERATIONS, SLACK_M, SUB_BEAMS, _window_size
+from sonarjax.refine.yaw import BLURS_PX, BOUNDS, ITERATIONS, SLACK_M, SUB_BEAMS, window_size
 from sonarjax.render import Window, place_window
 
 LINE_STEP_DEG = 0.25  # so that central differences span half a degree, about the longest step of gradient_check
@@ -81,7 +81,7 @@ def run(settings: Settings, job: Job) -> Report:
     paths = []
     for name, parts in job.map(lambda name: _landscape(name, shown, settings), settings.maps, "landscape").items():
         values = {key: np.array(v, float) for key, v in parts.items()}
-        job.arrays(f"landscape_{name}", blur=BLURS_PX, image=map_of(name, shown), **values)
+        job.arrays(f"landscape_{name}", blur=BLURS_PX, image=image_of(name, shown), **values)
         for start, end in zip(parts["path"][0], parts["end"], strict=True):
             ends = zip(("start_deg", "start_m", "end_deg", "end_m"), (*start, *end), strict=True)
             paths.append({"map": name, **dict(ends)})
@@ -101,7 +101,7 @@ def loss(problem: Problem, blur: Blur, drawn: jax.Array) -> jax.Array:
 def losses_at(image: Any, frame: TestFrame, sharpness: float, steps: np.ndarray, sub_beams: int) -> list[np.ndarray]:
     """Loss (step, blur) `steps` (step, 3) = yaw [rad], x, y [m] off the truth, and its derivative by yaw [1/rad]."""
     mesh, sonar, at = target(), sonar_for(frame.tilt_deg), moved(frame)
-    shape, beams = _window_size(mesh, sonar, at, BOUNDS)  # the window is refine_yaw's own
+    shape, beams = window_size(mesh, sonar, at, BOUNDS)  # the window is refine_yaw's own
     row, column, *_ = place_window(shape, mesh, sonar, at.x, at.y, SLACK_M)
     part = jax.lax.dynamic_slice(jnp.asarray(image, jnp.float32), (row, column), shape)
     problem = part, at, jnp.float32(sharpness), (row, column), mesh, sonar
@@ -137,7 +137,7 @@ def _line(name: MapName, frames: Sequence[TestFrame], settings: Settings) -> dic
     steps = np.radians(line_deg(settings))[:, None] * [1.0, 0.0, 0.0]
     parts = []
     for frame in frames:
-        draw = partial(losses_at, map_of(name, frame), frame, SHARPNESS_OF[name], steps)
+        draw = partial(losses_at, image_of(name, frame), frame, SHARPNESS_OF[name], steps)
         (own, derivative), (finer, _) = draw(SUB_BEAMS), draw(CONVERGED)
         parts.append((own[1:-1], finer[1:-1], derivative[1:-1], central(finer), central(own)))
     keys = ("loss", "converged_loss", "derivative", "differences", "own")
@@ -166,7 +166,7 @@ def judged(ours: np.ndarray, finer: np.ndarray, own: np.ndarray) -> list[dict[st
 
 def _landscape(name: MapName, frame: TestFrame, settings: Settings) -> dict[str, Any]:
     """Loss (yaw, x, blur); paths (step, start, 2) of yaw [deg] and x [m] off the truth; where refine_yaw ends."""
-    image, count = map_of(name, frame), settings.grid
+    image, count = image_of(name, frame), settings.grid
     yaws, xs = (np.linspace(-reach, reach, count) for reach in (settings.reach_deg, settings.reach_m))
     steps = np.stack(np.meshgrid(np.radians(yaws), xs, 0.0, indexing="ij"), axis=-1).reshape(-1, 3)
     values, _ = losses_at(image, frame, SHARPNESS_OF[name], steps, SUB_BEAMS)

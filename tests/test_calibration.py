@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from experiments.calibrate_sensor import Settings, measure
-from experiments.common.frames import TILTS_DEG
+from experiments.common.frames import TILTS_DEG, VALIDATION_SEED
 from experiments.common.paper import TABLE_4
-from experiments.fit_threshold import VALIDATION_SEED
 
 
 @pytest.fixture(scope="module")

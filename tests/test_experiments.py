@@ -14,11 +14,12 @@ import pytest
 
 from experiments import __main__ as listing
 from experiments.common import runs
-from experiments.common.frames import paper_frames
+from experiments.common.frames import STEP_DEG, paper_frames
 from experiments.common.launch import Skipped, combined, launch, parse
 from experiments.common.runs import Job, find_run, load_arrays, load_report, run_folder
 from experiments.evaluate_segmenters import mirrored
 from experiments.fit_threshold import best_threshold
+from sonarjax.data.pairs import SPLITS
 from sonarjax.io import SonarjaxError
 from sonarjax.scene import objects
 
@@ -123,7 +124,37 @@ def test_several_seeds_are_told_one_by_one_then_as_mean_and_spread(tmp_path: Pat
     reports = start(tmp_path, "--seeds", "1", "2", "6")
     told = [float(value) for value in re.findall(r"value (\S+)", capsys.readouterr().out)]
     values = [report["rows"][0]["value"] for report in reports]
-    np.testing.assert_allclose(told, [*values, np.mean(values), np.ptp(values)])
+    np.testing.assert_allclose(told, [*values, 3.0, 3.0])  # mean of 1, 2 and 6, and what 6 is off
+
+
+def test_seeds_that_were_done_before_an_interruption_are_not_measured_again(tmp_path: Path):
+    measured = []
+
+    def in_parts(options: Options, job: Job) -> dict[str, Any]:
+        def measure(case: int) -> float:
+            measured.append((job.seed, case))
+            if measured.count((5, 1)) == 1 and measured[-1] == (5, 1):
+                raise KeyboardInterrupt
+            return float(case)
+
+        values = job.map(measure, {str(k): k for k in range(2)}, "parts")
+        return {"rows": [{"name": "a", "value": sum(values.values())}]}
+
+    arguments = ("--seeds", "4", "5", "6")
+    with pytest.raises(SystemExit):
+        start(tmp_path, *arguments, run=in_parts)
+    assert measured == [(4, 0), (4, 1), (5, 0), (5, 1)]
+    assert [report["seed"] for report in start(tmp_path, *arguments, run=in_parts)] == [4, 5, 6]
+    assert measured[4:] == [(5, 1), (6, 0), (6, 1)]
+    start(tmp_path, *arguments, run=in_parts)  # nothing was interrupted: all is measured anew
+    assert len(measured) == 13
+
+
+@pytest.mark.parametrize("seed", ["-1", "1000", "1.5"])
+def test_seeds_are_not_those_of_validation_frames(seed: str, capsys: pytest.CaptureFixture[str]):
+    with pytest.raises(SystemExit):
+        options("--seeds", seed)
+    assert "whole number below 1000" in capsys.readouterr().err
 
 
 def test_what_is_missing_ends_a_smoke_run_well_and_another_with_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
@@ -297,6 +328,13 @@ def test_smoke_tells_of_each_and_fails_when_one_does(
 def test_frames_of_a_tilt_that_is_not_the_papers_are_refused():
     with pytest.raises(SonarjaxError, match="tilts_deg: expected some of 15, 20, 25, got 30"):
         paper_frames(0, tilts_deg=(20.0, 30.0))
+
+
+@pytest.mark.parametrize("step_deg", [0, -10, 1, 2, 3, 7, 50])
+def test_steps_that_do_not_divide_the_circle_or_meet_training_s_keys_are_refused(step_deg: int):
+    with pytest.raises(SonarjaxError, match=f"multiple of 5 that divides 360, got {step_deg}"):
+        paper_frames(0, step_deg=step_deg)
+    assert all(number % STEP_DEG for number in SPLITS.values())  # what makes them disjoint
 
 
 def test_best_threshold_is_the_middle_of_the_widest_run_of_least_errors():

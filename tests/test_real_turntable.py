@@ -7,9 +7,8 @@ import json
 import numpy as np
 import pytest
 
-from experiments.common.launch import combined
+from experiments.common.launch import combined, mean_and_spread
 from experiments.real_turntable import Settings, compared, errors_deg, summary
-from paper_figs.readme import mean_and_spread
 
 ONE = Settings(searches=("recognize",))
 

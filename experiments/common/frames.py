@@ -16,6 +16,10 @@ from sonarjax._cores import SINGLE_CORE, side_by_side
 from sonarjax.sensor import SensorModel, observe_scene
 
 TILTS_DEG = (15.0, 20.0, 25.0)
+VALIDATION_SEED = 1000
+"""Added to a run's seed where something is fitted: test frames have seeds below it."""
+STEP_DEG = 5
+"""Yaw steps are a multiple of it. Numbers 1 to 3 of a seed's key are training's (`sonarjax.data.split_key`)."""
 GROUND_RANGE_M = {15.0: 2.45, 20.0: 2.30, 25.0: 2.10}
 
 
@@ -60,8 +64,11 @@ def paper_frames(
     The sensor is the nominal DIDSON at `severity`, or with `drawn` another device of the family for every frame.
     `other` takes the non-target's place, `model` the sensor's, and `tilts_deg` that of the tilts.
 
-    Raises SonarjaxError for a tilt that is not one of §4.1.
+    No key of a frame is one of training's pairs. Raises SonarjaxError for a tilt that is not one of §4.1, or a step
+    that is no multiple of 5° or does not divide the circle.
     """
+    if step_deg < STEP_DEG or step_deg % STEP_DEG or 360 % step_deg:
+        raise sj.SonarjaxError(f"step_deg: expected a multiple of {STEP_DEG} that divides 360, got {step_deg}")
     for tilt in tilts_deg:
         if tilt not in GROUND_RANGE_M:
             raise sj.SonarjaxError(

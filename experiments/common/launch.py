@@ -18,6 +18,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
+from experiments.common.frames import VALIDATION_SEED
 from experiments.common.runs import Job, circumstances, run_folder
 from sonarjax.io import SonarjaxError
 
@@ -48,10 +49,12 @@ def launch(
     chosen, common = parse(settings, module.__doc__ or "", smoke, arguments)
     reports = []
     try:
-        for seed in common.seeds:
-            job = Job(run_folder(Path(common.runs), name, asdict(chosen), seed), seed)
-            facts = {"experiment": name, "preset": common.preset, "changed": common.changed}
-            reports.append(_one(run, chosen, job, facts))
+        jobs = [Job(run_folder(Path(common.runs), name, asdict(chosen), seed), seed) for seed in common.seeds]
+        interrupted = any(job.begun for job in jobs)
+        facts = {"experiment": name, "preset": common.preset, "changed": common.changed}
+        for job in jobs:
+            kept = job.finished if interrupted else None  # the seeds that were done before the interruption
+            reports.append(kept or _one(run, chosen, job, facts))
             print(f"\n{table(reports[-1])}\n\n{job.folder}: {reports[-1]['seconds']:.0f} s", flush=True)
     except Skipped as error:
         if common.preset != "smoke":
@@ -64,7 +67,7 @@ def launch(
         raise SystemExit(130) from None
     if len(reports) > 1:
         print(f"\nmean of seeds {', '.join(map(str, common.seeds))}\n{table(combined(reports, _mean))}")
-        print(f"\nlargest less smallest\n{table(combined(reports, _spread))}")
+        print(f"\nlargest deviation from it\n{table(combined(reports, _deviation))}")
     return reports
 
 
@@ -86,7 +89,8 @@ def parse(
     """
     parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--preset", choices=("full", "smoke"), default="full", help="smoke: a run of seconds")
-    parser.add_argument("--seeds", type=int, nargs="+", default=[0], help="root seeds, one run each (default: 0)")
+    seeds = f"root seeds below {VALIDATION_SEED}, one run each (default: 0)"
+    parser.add_argument("--seeds", type=_seed, nargs="+", default=[0], help=seeds)
     parser.add_argument("--runs", default="runs", help="folder of the results (default: runs)")
     helps, kinds = field_docstrings(settings), get_type_hints(settings)
     for option in fields(settings):
@@ -104,6 +108,13 @@ def parse(
         return chosen, common
     except (ValueError, SonarjaxError) as error:
         parser.error(str(error))
+
+
+def _seed(text: str) -> int:
+    if not text.isdecimal() or int(text) >= VALIDATION_SEED:
+        expected = f"a whole number below {VALIDATION_SEED}, where validation's begin"
+        raise argparse.ArgumentTypeError(f"expected {expected}, got {text!r}")
+    return int(text)
 
 
 def _kind(kind: Any, default: Any) -> dict[str, Any]:
@@ -133,7 +144,7 @@ def field_docstrings(settings: type) -> dict[str, str]:
     }
 
 
-def combined(values: Sequence[Any], merge: Callable[[list[float]], float]) -> Any:
+def combined(values: Sequence[Any], merge: Callable[[list[float]], Any]) -> Any:
     """Reports of several seeds as one: numbers merged, all else as in the first. Lists keep the shortest length."""
     first = values[0]
     if isinstance(first, dict):
@@ -145,9 +156,18 @@ def combined(values: Sequence[Any], merge: Callable[[list[float]], float]) -> An
     return first
 
 
+def mean_and_spread(values: list[float]) -> Any:
+    """Mean ± the largest deviation from it; the number itself where all are the same to what a table shows."""
+    mean, most = _mean(values), _deviation(values)
+    if most < 5e-4:
+        return values[0]
+    digits = 2 if abs(mean) >= 10 else 3
+    return f"{mean:.{digits}f} ± {most:.{digits}f}"
+
+
 def _mean(values: list[float]) -> float:
     return sum(values) / len(values)
 
 
-def _spread(values: list[float]) -> float:
-    return max(values) - min(values)
+def _deviation(values: list[float]) -> float:
+    return max(abs(value - _mean(values)) for value in values)

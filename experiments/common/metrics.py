@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import bootstrap
 
-HALF_BIN_DEG = 5.0 + 0.5  # the nearest of the 10° bins, or the other one at a tie
+WITHIN_BIN_DEG = 5.0 + 0.5
+"""Largest error [deg] of the right one of the 10° bins: half a bin, and what turning it to its bearing is off."""
 
 
 def yaw_error_deg(found: Any, true: Any, period_deg: float = 360.0) -> Any:

@@ -1,7 +1,8 @@
 """Results of experiments: runs/<experiment>/<hash of the settings>-s<seed>/results.json, and what was measured so far.
 
 `Job.map` keeps each part of an experiment as soon as it is measured: an interrupted run goes on where it was. The same
-code must go on: parts that other code measured are forgotten. A finished run that is started again measures anew.
+code must go on: parts that other code measured are forgotten. A finished run that is started again measures anew, but
+for the first seeds of several that were interrupted in a later one.
 """
 
 from __future__ import annotations
@@ -40,6 +41,17 @@ class Job:
         folder.mkdir(parents=True, exist_ok=True)
         self._path = folder / PARTS
         self._done = self._taken_up()
+
+    @property
+    def begun(self) -> bool:
+        """Whether the same code was interrupted in this run."""
+        return bool(self._done)
+
+    @property
+    def finished(self) -> dict[str, Any] | None:
+        """The results that the same code left here before; None without."""
+        report = load_report(self.folder) if (self.folder / RESULTS).exists() else {}
+        return report if report.get("code") == code_digest() and not self.begun else None
 
     @property
     def key(self) -> jax.Array:

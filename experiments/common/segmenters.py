@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from functools import cache
 from pathlib import Path
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -19,14 +20,15 @@ from sonarjax.segment.weights import GeneratorWeights, load_generator
 from sonarjax.segment.whole import segment_frame
 
 DISCRIMINATIVE, TILES, TRUTH = "discriminative", "pix2pix-tiles", "truth"
+Name = Literal["truth", "pix2pix", "pix2pix-tiles", "discriminative", "none", "otsu", "otsu1", "otsu3", "median-otsu"]
 DISCRIMINATIVE_WEIGHTS = Path(__file__).resolve().parents[1] / "discriminative.safetensors"
 OWN_THRESHOLDS = {TRUTH: 0.837, TILES: 0.854, DISCRIMINATIVE: 0.838}
 """Least score of an identified target, from validation frames of experiments/fit_threshold.py."""
-NAMES = (TRUTH, "pix2pix", TILES, DISCRIMINATIVE, *(name for name in SEGMENTERS if name != "pix2pix"))
+NAMES: tuple[Name, ...] = get_args(Name)
 """All that are compared: `truth` is the true map, `pix2pix-tiles` the network without its closer looks."""
 
 
-def available() -> tuple[str, ...]:
+def available() -> tuple[Name, ...]:
     """The names whose weights are there."""
     return tuple(name for name in NAMES if name != DISCRIMINATIVE or DISCRIMINATIVE_WEIGHTS.exists())
 
@@ -43,6 +45,15 @@ def map_of(name: str, frame: TestFrame) -> np.ndarray:
     if name == DISCRIMINATIVE:
         return segment_frame(_discriminative(), frame.image)
     return np.asarray(semantic_map(frame.image, name), np.float32)
+
+
+def asked_for(name: str, frame: TestFrame) -> dict[str, Any]:
+    """What to give `recognize` beside the frame's image: the name of a segmenter of the package, or another's map.
+
+    With its threshold. Raises SonarjaxError as `map_of` and `threshold_of` do.
+    """
+    how: dict[str, Any] = {"segmenter": name} if name in SEGMENTERS else {"semantic": map_of(name, frame)}
+    return how | {"threshold": threshold_of(name)}
 
 
 def threshold_of(name: str) -> float:
