@@ -33,8 +33,7 @@ smoke: $(VENV)/.stamp-smoke
 reproduce: $(VENV)/.stamp-base
 	$(BIN)/python -m experiments.reproduce_paper
 	$(BIN)/python -m experiments.paper_scenes
-	$(BIN)/python -m paper_figs --all --out runs/figures --report runs/report.html
-	@echo "Report: $(CURDIR)/runs/report.html"
+	$(BIN)/python -m paper_figs --all --out runs/figures --report "$(CURDIR)/runs/report.html"
 
 bench: $(VENV)/.stamp-bench
 	$(BIN)/python -m experiments.bench_all

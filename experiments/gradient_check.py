@@ -190,7 +190,7 @@ def draw_scenes(settings: Settings, seed: int) -> dict[str, Scene]:
     return found
 
 
-def summary(scenes: list[dict[str, Any]], quality: str) -> dict[str, Any]:
+def over_scenes(scenes: list[dict[str, Any]], quality: str) -> dict[str, Any]:
     """Error over RMS of each loss and parameter (median, 95th percentile, share of right signs), cost, forward RMS.
 
     A derivative that is zero by symmetry (yaw of a cylinder) counts as every other: its error is divided by the
@@ -321,7 +321,7 @@ def run(settings: Settings, job: Job) -> Report:
         "meshes": settings.meshes,
         "converged": settings.converged,
         "finer": settings.forward * max(settings.qualities),
-        "qualities": {str(quality): summary(scenes, str(quality)) for quality in settings.qualities},
+        "qualities": {str(quality): over_scenes(scenes, str(quality)) for quality in settings.qualities},
         "poses": check_poses(settings, job) if settings.poses > 0 else None,
     }
     report["figure"] = draw(report, job.folder)

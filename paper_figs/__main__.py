@@ -1,6 +1,7 @@
 """Draw the paper's figures from runs/.
 
 Examples: python -m paper_figs fig08 tab03; python -m paper_figs --all; python -m paper_figs --report report.html
+The report comes last, and before its path the table of reproduce_paper, if that has run.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m paper_figs", description=__doc__.splitlines()[0])
     parser.add_argument("items", nargs="*", metavar="ITEM", help=" ".join(one.split("_")[0] for one in index.scripts()))
     parser.add_argument("--all", action="store_true", help="every item whose experiments have run")
-    parser.add_argument("--report", metavar="FILE", type=Path, help="write one HTML page with everything")
+    parser.add_argument("--report", metavar="FILE", type=Path, help="write one HTML page with everything that has run")
     parser.add_argument("--index", action="store_true", help="write paper_figs/README.md")
     parser.add_argument("--readme", action="store_true", help="fill the tables of README.md")
     parser.add_argument("--runs", type=Path, default=Path("runs"), help="folder of the results (default: runs)")
@@ -51,8 +52,11 @@ def _do(chosen: argparse.Namespace) -> None:
         readme.update(readme.PATH, chosen.runs)
         _say(readme.PATH)
     if chosen.report:
+        page = report.page(chosen.runs)
         chosen.report.parent.mkdir(parents=True, exist_ok=True)
-        write_text(chosen.report, report.page(chosen.runs))
+        write_text(chosen.report, page.html)
+        if page.main is not None:
+            print(f"\n{page.main}\n")
         _say(chosen.report)
 
 

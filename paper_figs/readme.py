@@ -11,7 +11,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from experiments.common.launch import combined
+from experiments.common.launch import combined, mean_and_spread
 from experiments.common.runs import RESULTS, ROOT, load_report
 from paper_figs.index import command
 from paper_figs.shared import Run, load
@@ -61,16 +61,6 @@ def of_all_seeds(run: Run) -> list[dict[str, Any]]:
     folders = [path.parent for path in run.folder.parent.glob(f"{settings}-s*/{RESULTS}")]
     reports = [report for report in map(load_report, folders) if report["code"] == run.report["code"]]
     return sorted(reports, key=lambda report: report["seed"])
-
-
-def mean_and_spread(values: list[float]) -> Any:
-    """Mean ± the largest deviation from it; the number itself where all are the same to what a table shows."""
-    mean = sum(values) / len(values)
-    most = max(abs(value - mean) for value in values)
-    if most < 5e-4:
-        return values[0]
-    digits = 2 if abs(mean) >= 10 else 3
-    return f"{mean:.{digits}f} ± {most:.{digits}f}"
 
 
 def own_table(name: str, report: dict[str, Any]) -> str:

@@ -1,4 +1,8 @@
-"""One page of HTML with everything that has run: tables, figures, settings, versions; it loads nothing from outside."""
+"""One page of HTML with everything that has run: tables, figures, settings, versions; it loads nothing from outside.
+
+Every experiment with a finished run is on it. What other code left in `runs`, or an experiment that is no longer
+there, costs its own part of the page alone.
+"""
 
 from __future__ import annotations
 
@@ -6,15 +10,17 @@ import base64
 import io
 import json
 import re
+from collections.abc import Callable
+from functools import partial
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from matplotlib import rc_context
 
 import sonarjax as sj
 from experiments.common.paper import ANGLES_DEG
-from experiments.common.runs import git_hash
+from experiments.common.runs import RESULTS, git_hash
 from experiments.reproduce_paper import BESIDE, HEADS
 from paper_figs import index, style, tab03, tab04
 from paper_figs.matrix import blocks
@@ -26,18 +32,60 @@ MAIN = "reproduce_paper"
 SMOKE = f' <span class="smoke">{style.SMOKE}</span>'
 NUMBER = re.compile(r"–?|[+−-]?[\d.,]+(e[+-]?\d+)?[°%]?")
 DPI = 160
+FACTS = {"preset": "preset", "seed": "seed", "date": "date", "git": "commit", "code": "code", "device": "device",
+         "seconds": "time [s]", "command": "command"}  # fmt: skip
+"""What the table of runs tells of each, and how it is headed there; a run of other code may lack some of it."""
 
 
-def page(runs: Path) -> str:
+class Page(NamedTuple):
+    """What is told of all runs."""
+
+    html: str
+    """The page."""
+    main: str | None
+    """The main experiment's own table in Markdown, for the terminal; None where it has not run."""
+
+
+def page(runs: Path) -> Page:
     """The page. Raises SonarjaxError when no experiment has run."""
-    found = {name: load(runs, name) for name in index.experiments() if has_run(runs, name)}
+    found = finished(runs)
     if not found:
         raise sj.SonarjaxError(f"{runs}: no finished run; `{index.command(MAIN)}` makes one")
+    own = {name: or_why(partial(own_table, name, run.report)) for name, run in found.items()}
+    mark = f"\n\n{style.SMOKE}" if MAIN in found and found[MAIN].smoke else ""
+    return Page(html(runs, found, own), own[MAIN] + mark if MAIN in own else None)
+
+
+def finished(runs: Path) -> dict[str, Run]:
+    """The newest run of each experiment that has one: those of figures in the figures' order, the others by name."""
+    there = sorted({path.parent.parent.name for path in runs.glob(f"*/*/{RESULTS}")})
+    first = [name for name in index.experiments() if name in there]
+    return {name: load(runs, name) for name in dict.fromkeys(first + there) if has_run(runs, name)}
+
+
+def or_why(make: Callable[[], str], put: Callable[[str], str] = str) -> str:
+    """What `make` gives; or why it cannot, as `put` puts it, when other code made the run or the experiment is gone."""
+    try:
+        return make()
+    except sj.SonarjaxError as error:
+        return put(str(error))
+    except Exception as error:  # a run of other code may hold anything
+        return put(f"Made by other code, this one cannot show it: {error!r}")
+
+
+def paragraph(text: str) -> str:
+    """A line of text as HTML."""
+    return f"<p>{escape(text)}</p>"
+
+
+def html(runs: Path, found: dict[str, Run], own: dict[str, str]) -> str:
+    """The page of the runs `found` and their `own` tables, with the figures of `runs`."""
+    main = or_why(partial(numbers, found[MAIN]), paragraph) if MAIN in found else lacking([MAIN])
     sections = [
-        ("numbers", "The paper's numbers and ours", numbers(found[MAIN]) if MAIN in found else lacking([MAIN])),
+        ("numbers", "The paper's numbers and ours", main),
         ("figures", "The paper's figures and tables", figures(runs, ("fig", "tab", "sec"))),
         ("own", "Beyond the paper", figures(runs, ("ext",))),
-        ("tables", "What the experiments print", printed(found)),
+        ("tables", "What the experiments print", printed(found, own)),
         ("runs", "Runs", settings(found)),
         ("missing", "Not run", absent(runs)),
     ]
@@ -114,33 +162,27 @@ def figures(runs: Path, kinds: tuple[str, ...]) -> str:
     for name, script in index.scripts().items():
         if name.startswith(kinds) and not index.missing(script, runs):
             mark = SMOKE if index.is_smoke(script, runs) else ""
-            try:
-                shown = f'<img alt="{escape(script.ITEM)}" src="data:image/png;base64,{picture(name, runs)}">'
-            except sj.SonarjaxError as error:
-                shown = f"<p>{escape(str(error))}</p>"
+            shown = or_why(partial(picture, name, runs), paragraph)
             text = f"<b>{escape(script.ITEM)}</b> {escape(script.CAPTION)}{mark}"
             parts.append(f'<figure id="{name}">{shown}<figcaption>{text}</figcaption></figure>')
     return "\n".join(parts) or "<p>None of them has run.</p>"
 
 
 def picture(name: str, runs: Path) -> str:
-    """An item as PNG in base64."""
+    """An item as an image in PNG, itself in the page."""
     file = io.BytesIO()
     with rc_context(style.RC):
         index.drawn(name, runs).savefig(file, format="png", dpi=DPI, metadata={"Software": None})
-    return base64.b64encode(file.getvalue()).decode("ascii")
+    data = base64.b64encode(file.getvalue()).decode("ascii")
+    return f'<img alt="{escape(index.scripts()[name].ITEM)}" src="data:image/png;base64,{data}">'
 
 
-def printed(found: dict[str, Run]) -> str:
+def printed(found: dict[str, Run], own: dict[str, str]) -> str:
     """Each experiment's own tables, folded up."""
     parts = []
     for name, run in found.items():
         mark = SMOKE if run.smoke else ""
-        try:
-            text = from_markdown(own_table(name, run.report))
-        except (KeyError, TypeError):  # other code made the run
-            text = "<p>Made by an earlier version.</p>"
-        parts.append(f"<details><summary>{escape(name)}{mark}</summary>{text}</details>")
+        parts.append(f"<details><summary>{escape(name)}{mark}</summary>{from_markdown(own[name])}</details>")
     return "\n".join(parts)
 
 
@@ -153,7 +195,7 @@ def from_markdown(text: str) -> str:
             head, _, *rows = [line[2:-2].split(" | ") for line in lines]  # as `markdown` writes them
             parts.append(html_table(head, rows))
         else:
-            parts += [f"<p>{escape(line)}</p>" for line in lines]
+            parts += map(paragraph, lines)
     return "\n".join(parts)
 
 
@@ -161,14 +203,12 @@ def settings(found: dict[str, Run]) -> str:
     """How each run was made."""
     rows, more = [], []
     for name, run in found.items():
-        report = run.report
-        rows.append([name, report["preset"], str(report["seed"]), report["date"], report["git"] or "–", report["code"],
-                     report["device"], f"{report['seconds']:.0f}", report["command"]])  # fmt: skip
-        versions = ", ".join(f"{key} {value}" for key, value in report["versions"].items())
-        chosen = json.dumps(report["settings"], ensure_ascii=False)
+        told = (run.report.get(key) for key in FACTS)
+        rows.append([name, *(f"{value:.0f}" if isinstance(value, float) else value for value in told)])
+        versions = ", ".join(f"{key} {value}" for key, value in dict(run.report.get("versions", {})).items())
+        chosen = json.dumps(run.report.get("settings"), ensure_ascii=False)
         more.append(f"<p><b>{escape(name)}</b> {escape(versions)}<br><code>{escape(chosen)}</code></p>")
-    head = ["experiment", "preset", "seed", "date", "commit", "code", "device", "time [s]", "command"]
-    made = f'<div class="runs">{html_table(head, rows)}</div>'
+    made = f'<div class="runs">{html_table(["experiment", *FACTS.values()], rows)}</div>'
     return f"{made}<details><summary>settings and versions</summary>{''.join(more)}</details>"
 
 

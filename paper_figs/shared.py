@@ -50,15 +50,24 @@ class Run:
 
 
 def load(runs: Path, experiment: str) -> Run:
-    """The newest run of an experiment. Raises SonarjaxError, which says how to make one, when there is none."""
-    folder = find_run(runs, experiment)
+    """The newest run of an experiment.
+
+    Raises SonarjaxError, which says how to make one, when there is none, and when what lies there is no report.
+    """
+    try:
+        folder = find_run(runs, experiment)
+    except sj.SonarjaxError:
+        raise
+    except (AttributeError, LookupError, TypeError, ValueError) as error:
+        text = f"{runs / experiment}: a results.json there is of other code ({error!r})"
+        raise sj.SonarjaxError(f"{text}; remove it and run python -m experiments.{experiment} again") from error
     return Run(folder, load_report(folder))
 
 
 def has_run(runs: Path, experiment: str) -> bool:
     """Whether an experiment has a finished run."""
     try:
-        find_run(runs, experiment)
+        load(runs, experiment)
     except sj.SonarjaxError:
         return False
     return True

@@ -1,8 +1,9 @@
 """The command `sonarjax`: render, segment, recognize, train, info. Takes arguments, returns an exit code.
 
 Exit codes: 0 done, identified or not; 1 a frame could not be read (the batch goes on); 2 arguments, mesh, TOML or
-output that cannot be used; 130 interrupted. A wrong input gives one line on stderr. Nothing heavy is imported before
-the arguments are known to be good, so that `--help` is instant. Angles are in degrees here, inside in radians.
+output that cannot be used; 130 interrupted. A wrong input gives one line on stderr. What only one command needs, such
+as drawing and training, is imported after its arguments are known to be good. Angles are in degrees here, inside in
+radians.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ import time
 from collections.abc import Iterator, Sequence
 from typing import Any, NoReturn
 
-DEFAULT_SEGMENTER = "pix2pix"
+from sonarjax.segment import DEFAULT_SEGMENTER, SEGMENTERS
+
 MAX_SUB_BEAMS = 64
 
 Lazy = Any  # a type of a module that is imported inside the function: the docstring names it
@@ -118,7 +120,7 @@ def _add_recognize(commands: Any) -> None:
     command.add_argument("--out", metavar="R.jsonl", required=True, help="one JSON object a frame is appended")
     command.add_argument(
         "--segmenter", metavar="NAME", default=DEFAULT_SEGMENTER,
-        help="pix2pix, otsu, or none to match the grey frame itself (default: %(default)s)",
+        help=f"{', '.join(SEGMENTERS)}; none matches the grey frame itself (default: %(default)s)",
     )  # fmt: skip
     command.add_argument("--no-refine", action="store_true", help="stop at the yaw bin of the template bank")
     command.add_argument(
@@ -142,9 +144,9 @@ def _add_train(commands: Any) -> None:
 
 
 def _add_info(commands: Any) -> None:
-    command = commands.add_parser("info", help="what a sonar file holds", epilog=_EXITS)
+    command = commands.add_parser("info", help="what a frame, sonar or weights file holds", epilog=_EXITS)
     command.set_defaults(run=_info)
-    command.add_argument("file", metavar="FILE", help=f"{_FRAME_HELP}, or a sonar.toml")
+    command.add_argument("file", metavar="FILE", help=f"{_FRAME_HELP}, a sonar.toml, or a weights.safetensors")
 
 
 def _add_unit(command: argparse.ArgumentParser) -> None:
@@ -245,7 +247,6 @@ def _recognize(args: argparse.Namespace) -> int:
     from sonarjax.io import JsonLines, SonarjaxError
     from sonarjax.recognize import Recognizer
     from sonarjax.scene import Mesh
-    from sonarjax.segment import SEGMENTERS
     from sonarjax.sonar import Sonar
 
     if args.segmenter not in SEGMENTERS:

@@ -120,6 +120,7 @@ class Match(NamedTuple):
     """How well one bank matches a frame, and where."""
 
     bank: TemplateBank
+    """The bank that was matched."""
     scores: np.ndarray
     """NCC (yaw,) of each template."""
     rows: int

@@ -72,7 +72,7 @@ def test_scores_are_judged_by_bin_and_threshold():
     found = judged_at_place(scores, [frame(30.0), frame(354.0), frame(21.0), frame(0.0, is_target=False)])
     assert found["best_accuracy"] == 0.75 and found["best_threshold"] == 0.8
     assert found["bin_right"] == pytest.approx(2 / 3)
-    assert found["score_own"] == pytest.approx((0.9 + 0.7 + 0.5) / 3 if False else (0.9 + 0.8 + 0.5) / 3)
+    assert found["score_own"] == pytest.approx((0.9 + 0.8 + 0.5) / 3)
     assert found["score_wrong"] == pytest.approx((0.4 + 0.1 + 0.7) / 3)
     assert found["score_other"] == 0.75
 

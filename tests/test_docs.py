@@ -3,6 +3,7 @@
 Shapes: the axis list of an annotation such as `Float[Array, "range beam"]` stands in a function's docstring as
 `(range, beam)`; a field wears its annotation beside its docstring, so there it need not be said twice.
 Units: where an argument or a field is named after a physical quantity, its docstring names the unit, as in `[m]`.
+README: its blocks hold tables and say which runs they are from, and the experiments that it names are there.
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ from jaxtyping import Array, Float, Int
 
 import sonarjax
 
+PROJECT = Path(__file__).resolve().parents[1]
+README = (PROJECT / "README.md").read_text(encoding="utf-8")
 AXES = re.compile(r"""(?:Float|Int|UInt|Bool|Num|Shaped|Real|Inexact|Complex|Key)\d*\[[^\]"']*["']([^"']*)["']""")
 UNITS = {
     "m": re.compile(
@@ -200,7 +203,7 @@ def _wrong_shape(image: Float[Array, "range beam"]) -> None:
     """An image (beam, range)."""
 
 
-def _without_result(image: Float[Array, "range beam"]) -> Int[Array, "label"]:
+def _without_result(image: Float[Array, "range beam"]) -> Int[Array, " label"]:
     """An image (range, beam)."""
 
 
@@ -264,3 +267,44 @@ def test_checker_sees(thing: Any) -> None:
 
 def test_checker_allows() -> None:
     assert complaints("it", _right) == []
+
+
+# README: the blocks that `paper_figs.readme` fills, and the experiments that are named.
+
+MARKED = re.compile(r"^<!-- (\w+):(?:begin|end) -->$", re.MULTILINE)
+TABLE = re.compile(r"^\|.+\|\n\|[-:| ]+\|\n\|.+\|$", re.MULTILINE)  # head, rule and a row
+
+
+def lacks(text: str, name: str) -> list[str]:
+    """What the block `name` of a Markdown text lacks."""
+    block = re.search(rf"^<!-- {name}:begin -->\n(.*?)^<!-- {name}:end -->$", text, re.MULTILINE | re.DOTALL)
+    held = block[1] if block else ""
+    origin = re.search(rf"^\*`python -m experiments\.{name}\b[^`\n]*`.+\*$", held, re.MULTILINE)
+    wanted = {"both markers": block, "a table": TABLE.search(held), "its command, in italics": origin}
+    return [what for what, found in wanted.items() if not found]
+
+
+@pytest.mark.parametrize("name", sorted(set(MARKED.findall(README))))
+def test_block_of_readme_is_filled(name: str) -> None:
+    assert lacks(README, name) == []
+
+
+BLOCK = "<!-- a:begin -->\n\n| x |\n| --- |\n| 1 |\n\n*`python -m experiments.a --n 1`, seed 0*\n\n<!-- a:end -->\n"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "wanted"),
+    [
+        ("", "", 0), ("| 1 |\n", "", 1), ("*`", "`", 1), ("experiments.a", "experiments.ab", 1), ("a:end", "b:end", 3),
+        (BLOCK, "<!-- a:begin -->\n<!-- a:end -->\n", 2),
+    ],
+)  # fmt: skip
+def test_block_check_sees(old: str, new: str, wanted: int) -> None:
+    assert len(lacks(BLOCK.replace(old, new, 1), "a")) == wanted
+
+
+@pytest.mark.parametrize("file", ["README.md", "experiments/README.md"])
+def test_experiments_that_are_named_are_there(file: str) -> None:
+    named = re.findall(r"python -m\s+experiments\.(\w+)", (PROJECT / file).read_text(encoding="utf-8"))
+    assert named
+    assert [name for name in named if not (PROJECT / "experiments" / f"{name}.py").is_file()] == []

@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 from matplotlib import rc_context
+from matplotlib.image import AxesImage
 from skimage.io import imread
 
-from experiments import evaluate_segmenters, reproduce_paper
+from experiments import evaluate_segmenters, fit_threshold, reproduce_paper
 from experiments.common import paper
 from experiments.common.tables import correlation_table, receiver_curve
 from paper_figs import index, readme, report, style
@@ -26,13 +27,13 @@ PROJECT = Path(__file__).resolve().parent.parent
 SHAPE = (512, 96)
 SEGMENTERS = ("pix2pix", "none")
 WANTED = [*(f"fig{k:02}" for k in range(1, 9)), "tab03", "tab04", "sec32", "sec43", "sec44"]
-OWN = 10  # at least so many figures of our own
+OWN = 12  # at least so many figures of our own
 PAPER = {
     "tab03": [np.mean([0.6837, 0.7697, 0.5776, 0.7162]), 0.0, 0.5715],
     "tab04": [np.mean([0.5972, 0.6446, 0.4726, 0.5735]), 0.4709],
-    "sec32": [paper.TRAINING_HOURS],
-    "sec43": [paper.PSNR_RAW, paper.PSNR_MAP, paper.PSNR_GAIN, paper.IOU],
-    "sec44": [paper.ACCURACY],
+    "sec32": [1.2],  # hours of training
+    "sec43": [25.57, 35.93, 10.36, 0.638],  # PSNR before and after and its gain [dB], IoU
+    "sec44": [0.9201],  # accuracy
 }
 
 
@@ -161,11 +162,34 @@ def make_segmenters(runs: Path, rng: np.random.Generator, preset: str = "full") 
     finish(runs, "evaluate_segmenters", {"sets": sets}, preset=preset)
 
 
+def turntable(rng: np.random.Generator, *searches: str) -> dict[str, Any]:
+    """What real_turntable finds of 20 frames with these searches."""
+    cases = [(name, search) for name in ("none", "otsu", "pix2pix") for search in searches]
+    lines, frames = [], {"truth_deg": rng.uniform(0, 180, 20).tolist()}
+    for name, search in cases:
+        error = rng.uniform(-90, 90, 20) ** 3 / 90**2
+        p50, p90 = np.percentile(np.abs(error), (50, 90))
+        lines.append(row(rng, segmenter=name, search=search, yaw="refined", median_deg=p50, p90_deg=p90))
+        frames[f"{name}, {search}, refined"] = {"error_deg": error.tolist()}
+    gaps = [{"search": search, "other": name, "p50": [-0.1, -0.2, 0.3], "p90": [-1.0, -2.0, 0.3]}
+            for name, search in cases if name != "pix2pix"]  # fmt: skip
+    return {"frames": 20, "rows": lines, "failures": [], "compared": gaps, "per_frame": frames, "sheets": []}
+
+
+def make_turntable(runs: Path, rng: np.random.Generator) -> None:
+    finish(runs, "real_turntable", turntable(rng, "recognize", "tight crop", "fixed window"))
+
+
+def make_thresholds(runs: Path, rng: np.random.Generator, preset: str = "full") -> None:
+    rows = [row(rng, *fit_threshold.HEADS, segmenter="pix2pix", threshold=0.7654)]
+    finish(runs, "fit_threshold", {"rows": rows}, preset=preset)
+
+
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder, rng = tmp_path_factory.mktemp("runs"), np.random.default_rng(0)
     make_bench(folder)
-    for make in (make_scenes, make_reproduction, make_yaws, make_ablations, make_segmenters):
+    for make in (make_scenes, make_reproduction, make_yaws, make_ablations, make_segmenters, make_turntable):
         make(folder, rng)
     return folder
 
@@ -263,14 +287,14 @@ def test_a_short_run_is_marked(tmp_path: Path, rng: np.random.Generator) -> None
 def test_a_short_run_is_marked_in_the_page(tmp_path: Path) -> None:
     rows = [row(np.random.default_rng(0), *reproduce_paper.HEADS, severity=1.0, score_target=0.5, score_other=0.4)]
     finish(tmp_path, "ablate_severity", {"rows": rows}, preset="smoke")
-    assert report.page(tmp_path).count(report.SMOKE) >= 2
+    assert report.page(tmp_path).html.count(report.SMOKE) >= 2
 
 
 def test_a_missing_run_is_one_clear_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["fig08", "--runs", str(tmp_path), "--out", str(tmp_path)]) == 1
     said = capsys.readouterr().err.splitlines()
-    assert len(said) == 1
-    assert "no finished run; `python -m experiments.reproduce_paper` makes one" in said[0]
+    wanted = "no finished run; `python -m experiments.reproduce_paper` makes one"
+    assert said == [f"paper_figs: {tmp_path / 'reproduce_paper'}: {wanted}"]
     assert main(["--all", "--runs", str(tmp_path), "--out", str(tmp_path)]) == 0
     assert "fig08: not run: python -m experiments.reproduce_paper" in capsys.readouterr().out
 
@@ -279,6 +303,51 @@ def test_a_run_of_other_code_is_one_clear_line(tmp_path: Path, capsys: pytest.Ca
     finish(tmp_path, "ablate_severity", {"rows": [{"severity": 1.0}]})
     assert main(["ext06", "--runs", str(tmp_path), "--out", str(tmp_path)]) == 1
     assert "run python -m experiments.ablate_severity again" in capsys.readouterr().err
+    (tmp_path / "ablate_severity" / "made-up-s0" / "results.json").write_text("[]", encoding="utf-8")
+    assert main(["ext06", "--runs", str(tmp_path), "--out", str(tmp_path)]) == 1
+    (said,) = capsys.readouterr().err.splitlines()
+    assert "remove it and run python -m experiments.ablate_severity again" in said
+
+
+def test_real_frames_show_as_numbers_alone(runs: Path) -> None:
+    """The frames are not the project's to publish: no picture, and each point is an error of the run."""
+    figure = index.drawn("ext12_real_turntable", runs)
+    assert figure.findobj(AxesImage) == []
+    frames = load(runs, "real_turntable").report["per_frame"]
+    shares, over_yaw = figure.axes
+    color = style.look("otsu")["color"]
+    solid, dashed = (
+        next(line for line in shares.lines if (line.get_color(), line.get_linestyle()) == (color, way))
+        for way in ("-", "--")
+    )
+    for line, search in ((solid, "recognize"), (dashed, "fixed window")):
+        sizes = np.abs(frames[f"otsu, {search}, refined"]["error_deg"])
+        at = np.searchsorted(line.get_xdata(), np.percentile(sizes, 50)) - 1
+        assert line.get_ydata()[at] == pytest.approx(0.5)
+    (points,) = (line for line in over_yaw.lines if line.get_label() == "pix2pix")
+    np.testing.assert_allclose(points.get_xdata(), frames["truth_deg"])
+    np.testing.assert_allclose(points.get_ydata(), frames["pix2pix, recognize, refined"]["error_deg"])
+
+
+def test_real_frames_index_rows(runs: Path) -> None:
+    lines = [row for row in load(runs, "real_turntable").report["rows"] if row["search"] == "recognize"]
+    wanted = {(row["segmenter"], row[key]) for row in lines for key in ("median_deg", "p90_deg")}
+    numbers = index.scripts()["ext12_real_turntable"].numbers(runs)
+    assert {(number.what.split(", ")[0], number.ours) for number in numbers} == wanted
+    assert len(numbers) == 6
+
+
+@pytest.mark.parametrize("left", [[], ["none, recognize"], ["otsu, fixed window"], ["pix2pix, tight crop"]])
+def test_real_frames_with_parts_left_out(tmp_path: Path, rng: np.random.Generator, left: list[str]) -> None:
+    results = turntable(rng, "recognize", "tight crop", "fixed window")
+    names = [f"{name}, refined" for name in left]
+    results["per_frame"] = {key: results["per_frame"][key] for key in ["truth_deg", *names]}
+    results["rows"] = [row for row in results["rows"] if f"{row['segmenter']}, {row['search']}" in left]
+    del results["compared"]  # runs of earlier code have none
+    finish(tmp_path, "real_turntable", results)
+    assert main(["ext12", "--runs", str(tmp_path), "--out", str(tmp_path)]) == 0
+    ours = [number.ours for number in index.scripts()["ext12_real_turntable"].numbers(tmp_path)]
+    assert len(ours) - ours.count(None) == 2 * (left == ["none, recognize"])
 
 
 # ---------------------------------------------------------------- the page and the tables
@@ -305,7 +374,7 @@ class Sources(HTMLParser):
 def test_page_of_some_runs_loads_nothing(tmp_path: Path, rng: np.random.Generator) -> None:
     make_bench(tmp_path)
     make_ablations(tmp_path, rng)
-    page = report.page(tmp_path)
+    page = report.page(tmp_path).html
     sources = Sources()
     sources.feed(page)
     assert sources.open == []
@@ -325,6 +394,68 @@ def test_page_has_the_tables(tmp_path: Path, rng: np.random.Generator) -> None:
     table = run.report["tables"]["tab03"]
     below = np.array(table["target"])[np.array(table["target_shown"]) == 0]
     assert len(below) and all(f'<span class="under">{value:.4f}</span>' in text for value in below)
+
+
+def test_page_has_every_experiment_that_has_run(tmp_path: Path, rng: np.random.Generator) -> None:
+    make_thresholds(tmp_path, rng, preset="smoke")  # no figure is drawn from it
+    make_turntable(tmp_path, rng)
+    make_bench(tmp_path)
+    page = report.page(tmp_path).html
+    tables = re.findall(r"<details><summary>(\w+)", page)
+    assert tables == ["bench_train", "real_turntable", "fit_threshold", "settings"]
+    assert re.findall(r'<tr><td>(\w+)</td><td>(\w+)</td><td class="n">0</td>', page) == [
+        ("bench_train", "full"), ("real_turntable", "full"), ("fit_threshold", "smoke")
+    ]  # fmt: skip
+    assert f"<summary>fit_threshold{report.SMOKE}</summary>" in page and page.count(report.SMOKE) == 1
+    assert '<td class="n">0.765</td>' in page and "-0.10 (-0.20 to +0.30)" in page
+
+
+def test_page_of_runs_alone_that_no_figure_shows(tmp_path: Path, rng: np.random.Generator) -> None:
+    make_thresholds(tmp_path, rng)
+    page = report.page(tmp_path).html
+    assert "<summary>fit_threshold</summary>" in page and "<tr><td>fit_threshold</td>" in page
+
+
+def test_what_other_code_left_costs_its_own_part_of_the_page(tmp_path: Path, rng: np.random.Generator) -> None:
+    make_thresholds(tmp_path, rng)
+    finish(tmp_path, "no_longer_there", {"rows": []})
+    finish(tmp_path, "real_turntable", {"rows": [], "per_frame": {"truth_deg": "<none>"}})
+    finish(tmp_path, "reproduce_paper", {"rows": 1})
+    finish(tmp_path, "ablate_severity", {"rows": [1.0, 2.0]})
+    finish(tmp_path, "gradient_check", {"git": None, "scenes": {}})
+    for name, text in (("calibrate_sensor", "[1]"), ("bench_all", '{"rows": ['), ("yaw_basin", "{}")):
+        (tmp_path / name / "a-s0").mkdir(parents=True)
+        (tmp_path / name / "a-s0" / "results.json").write_text(text, encoding="utf-8")
+    (tmp_path / "bare" / "b-s0").mkdir(parents=True)
+    (tmp_path / "bare" / "b-s0" / "results.json").write_text('{"preset": "full", "seed": 0}', encoding="utf-8")
+    page, table = report.page(tmp_path)
+    sources = Sources()
+    sources.feed(page)
+    assert sources.open == [] and "<none>" not in page
+    assert '<td class="n">0.765</td>' in page  # what this code made is shown
+    for name in ("bare", "no_longer_there", "real_turntable", "reproduce_paper", "ablate_severity", "gradient_check"):
+        assert re.search(rf"<summary>{name}</summary><p>Made by other code, [^<]+</p></details>", page)
+        assert f"<tr><td>{name}</td><td>full</td>" in page
+    assert not re.search("<summary>(calibrate_sensor|bench_all|yaw_basin)<", page)  # no report at all
+    assert table is not None and table.startswith("Made by other code")
+
+
+def test_the_terminal_ends_with_the_path_alone_without_the_main_run(
+    tmp_path: Path, rng: np.random.Generator, capsys: pytest.CaptureFixture[str]
+) -> None:
+    make_thresholds(tmp_path, rng)
+    path = tmp_path / "report.html"
+    assert main(["--report", str(path), "--runs", str(tmp_path)]) == 0
+    assert capsys.readouterr().out == f"{path}\n"
+
+
+def test_make_reproduce_ends_with_the_report() -> None:
+    recipe = re.search(
+        r"^reproduce:.*\n((?:\t.*\n)+)", (PROJECT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE
+    )
+    assert recipe is not None
+    last = recipe[1].splitlines()[-1]
+    assert "-m paper_figs --all" in last and "--report" in last
 
 
 def test_no_run_at_all_is_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -372,3 +503,26 @@ def test_readme_takes_full_runs_only(tmp_path: Path, rng: np.random.Generator) -
     make_segmenters(tmp_path, rng, preset="smoke")
     with pytest.raises(SonarjaxError, match="preset smoke"):
         readme.block("evaluate_segmenters", tmp_path)
+
+
+@pytest.mark.parametrize("preset", ["full", "smoke"])
+def test_the_terminal_ends_with_the_table_and_the_path(
+    tmp_path: Path, rng: np.random.Generator, preset: str, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    make_reproduction(tmp_path, rng, preset)
+    made = []
+    own_table = report.own_table
+    monkeypatch.setattr(report, "own_table", lambda name, found: made.append(name) or own_table(name, found))
+    path = tmp_path / "new" / "report.html"
+    shown = "tab03"  # alone: drawing takes its time
+    few = {name: script for name, script in index.scripts().items() if name == shown}
+    monkeypatch.setattr(index, "scripts", lambda: few)
+    assert main(["--all", "--report", str(path), "--runs", str(tmp_path), "--out", str(tmp_path)]) == 0
+    table = own_table("reproduce_paper", load(tmp_path, "reproduce_paper").report)
+    mark = f"\n{style.SMOKE}\n" if preset == "smoke" else ""
+    said = capsys.readouterr().out
+    assert said == f"{tmp_path / shown}.png\n\n{table}\n{mark}\n{path}\n"
+    assert "| item | what | paper | ours | note |" in said
+    assert made == ["reproduce_paper"]  # once, for the page and the terminal
+    assert path.is_file()

@@ -53,8 +53,11 @@ class ArisLayout:
     """Size of every frame of a file, and how many are complete."""
 
     n_ranges: int
+    """Range bins of a frame."""
     n_beams: int
+    """Beams of a frame."""
     n_frames: int
+    """Complete frames in the file."""
     rest: int
     """Bytes after the last complete frame."""
 

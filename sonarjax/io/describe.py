@@ -10,24 +10,30 @@ from sonarjax.io.files import read_bytes
 from sonarjax.io.frame import Frame
 from sonarjax.io.load import iter_frames, split_spec
 from sonarjax.io.npy import NpzArchive
+from sonarjax.io.safetensors import read_safetensors
 from sonarjax.io.toml import read_toml
 
 
 def describe(spec: str | os.PathLike[str]) -> str:
-    """What a frame file, sonar recording or `sonar.toml` holds, in a few lines of `name: value`.
+    """What a frame file, sonar recording, `sonar.toml` or weights file holds, in lines of `name: value`.
 
-    Of a recording the first frame is described, or frame N of `path:N`. Raises SonarjaxError when it cannot be read.
+    Of a recording the first frame is described, or frame N of `path:N`; of weights how they were trained. Raises
+    SonarjaxError when it cannot be read.
     """
     path, index = split_spec(spec)
     ending = os.path.splitext(path)[1].lower()
     if ending == ".toml":
         return _text({"file": path, "format": "TOML", **_tables(read_toml(path))})
+    if ending == ".safetensors":
+        arrays, about = read_safetensors(path)
+        held = f"{len(arrays)}, together {sum(array.size for array in arrays.values())} numbers"
+        return _text({"file": path, "format": "safetensors", "arrays": held, **_tables(about)})
     if ending != ".npz":
         return _text(_first(spec, path, index))
-    arrays = _arrays(NpzArchive(read_bytes(path), path))
-    if "array image" not in arrays:  # labels, a template bank: still worth a look
-        return _text({"file": path, "format": "NPZ without a frame", **arrays})
-    return _text({**_first(spec, path, index), **arrays})
+    listed = _arrays(NpzArchive(read_bytes(path), path))
+    if "array image" not in listed:  # labels, a template bank: still worth a look
+        return _text({"file": path, "format": "NPZ without a frame", **listed})
+    return _text({**_first(spec, path, index), **listed})
 
 
 def _first(spec: str | os.PathLike[str], path: str, index: int | None) -> dict[str, Any]:
@@ -65,7 +71,7 @@ def _array(archive: NpzArchive, key: str) -> str:
 
 
 def _tables(document: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """A TOML document flattened to dotted keys."""
+    """Nested tables flattened to dotted keys."""
     lines: dict[str, Any] = {}
     for key, value in document.items():
         if isinstance(value, dict):

@@ -78,13 +78,21 @@ class DidsonFile:
     """What the file header says."""
 
     version: int
+    """3 for DDF_03, 4 for DDF_04."""
     high_frequency: bool
+    """True for the higher of the model's two frequencies."""
     n_beams: int
+    """Beams of a frame, 48 or 96."""
     n_ranges: int
+    """Range bins of a frame."""
     reverse: bool
+    """True where stored beam 0 is taken as the port-most one."""
     serial: int
+    """Serial number of the sonar."""
     header_bytes: int
+    """Size of the file header [bytes]."""
     frame_header_bytes: int
+    """Size of a frame header [bytes]."""
 
     @property
     def frame_bytes(self) -> int:

@@ -21,9 +21,13 @@ class Header:
     """A view of `data` from byte `base` on; `name` and `part` (such as "frame 3") open every message."""
 
     data: bytes
+    """Content of the whole file."""
     name: str
+    """The file's path, for messages."""
     base: int = 0
+    """Where this header starts in the file [bytes]."""
     part: str = "file header"
+    """What of the file it heads, for messages."""
 
     def error(self, field: str, problem: str) -> SonarjaxError:
         """The error to raise about one field."""

@@ -28,8 +28,11 @@ class NpyHeader:
     """What an NPY header says, checked: a plain number type and a size within the limit."""
 
     dtype: np.dtype
+    """Type of the numbers: bool, integer or float."""
     shape: tuple[int, ...]
+    """Shape of the array."""
     fortran: bool
+    """True where the first axis runs fastest."""
     offset: int
     """Where the numbers start [bytes]."""
 

@@ -36,16 +36,27 @@ class OculusPing:
     """The fields of one ping that are used."""
 
     frequency: float
+    """Frequency [Hz], as stored."""
     sound_speed: float
+    """Speed of sound [m/s], as stored."""
     resolution: float
+    """Length of a range bin [m]."""
     n_ranges: int
+    """Range bins of the image."""
     n_beams: int
+    """Beams of the image."""
     image_at: int
+    """Where the image starts in the message [bytes]."""
     dtype: str
+    """NumPy's name of the type of a pixel."""
     ping_id: int
+    """Number of the ping."""
     start_time: int
+    """When it was sent, in the device's own count."""
     range_setting: float
+    """Range asked for, as stored."""
     gain_percent: float
+    """Gain asked for [%], as stored."""
 
 
 def parse_oculus(data: bytes, name: str, index: int | None = None, bearing_sign: int = -1) -> Iterator[Frame]:

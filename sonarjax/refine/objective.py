@@ -38,7 +38,9 @@ class Blur(NamedTuple):
     """A Gaussian blur as two matrices, whose rows sum to 1."""
 
     along: Float[Array, "row range"]
+    """Blur in range; a row for every ROW_STRIDE-th range bin."""
     across: Float[Array, "beam beam"]
+    """Blur in azimuth."""
 
     def __call__(self, image: Float[Array, "*batch range beam"]) -> Float[Array, "*batch row beam"]:
         """The blurred image, every ROW_STRIDE-th row of it."""

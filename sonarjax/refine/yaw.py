@@ -102,7 +102,7 @@ def refine_yaw(
     frames = image.ndim - 2
     if len(axes) not in (frames, frames + 1) or axes[:frames] != image.shape[:frames]:
         raise SonarjaxError(f"start: expected one pose (or one axis of poses) for each image, got shape {axes}")
-    shape, beams = _window_size(mesh, sonar, start, bounds)
+    shape, beams = window_size(mesh, sonar, start, bounds)
     # One long list of frames and starts, so that every core has its share. On a CPU they go one by one: whatever their
     # number, they share compiled code.
     starts = jax.tree.map(lambda v: jnp.broadcast_to(v, axes).reshape(-1), start)
@@ -123,8 +123,14 @@ def refine_yaw(
     return jax.tree.map(lambda v: v.reshape(axes), found)
 
 
-def _window_size(mesh: Mesh, sonar: Sonar, start: Pose, bounds: tuple[float, ...]) -> tuple[tuple[int, int], int]:
-    """The window that holds every start and the beams the object may touch; the frame's where tracing hides them."""
+def window_size(mesh: Mesh, sonar: Sonar, start: Pose, bounds: tuple[float, ...]) -> tuple[tuple[int, int], int]:
+    """Shape (range, beam) [pixels] of the window that `refine_yaw` looks at, and how many beams the object may touch.
+
+    The window is large enough for the object and its shadow at each pose of `start` ([m] and [rad], of any shape),
+    however it is turned, `SLACK_M` around it included. The object itself touches no more beams than the second number
+    while x and y stay within `bounds`, the largest changes of yaw [rad], x and y [m]. Both are the whole frame's where
+    tracing hides the places or the sonar.
+    """
     if is_traced(start, sonar):
         return sonar.shape, sonar.n_beams
     ground = np.hypot(np.asarray(start.x), np.asarray(start.y))

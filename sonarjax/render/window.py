@@ -57,18 +57,26 @@ class Layers(NamedTuple):
     """What is rendered, each (range, beam)."""
 
     intensity: Float[Array, "range beam"]
+    """Energy of first hits per range bin, objects and floor [rad/m²]."""
     highlight: Float[Array, "range beam"]
+    """Share of the pixel's range cell covered by first hits of the object, 0 to 1."""
     shadow: Float[Array, "range beam"]
+    """Share of the pixel's floor hidden behind the object, 0 to 1."""
     lit: Bool[Array, "range beam"]
+    """True where the floor is insonified, or the object is seen."""
 
 
 class Visible(NamedTuple):
     """The visible profile of every slab; no part of it carries a gradient."""
 
     pieces: Pieces
+    """Which candidate is nearest at which elevations."""
     segments: Segments
+    """The candidates, cut by the slab's half-plane: fields (slab, candidate, ...)."""
     table: Int[Array, "slab candidate"]
+    """Triangle that each candidate is, or -1."""
     outline: Outline
+    """Runs of the object and stretches of hidden floor."""
 
 
 def in_sonar_frame(mesh: Mesh, pose: Pose, sonar: Sonar) -> Scene:

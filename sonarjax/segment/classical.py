@@ -23,7 +23,9 @@ def threshold_labels(
     """Labels (range, beam) of a grey frame: 0 background, 1 highlight, 2 shadow; pixels outside `mask` are background.
 
     `otsu1` is Otsu's one threshold: highlight above it, no shadow. `otsu3` puts his two thresholds on the frame, `otsu`
-    on its 3 × 3 median, `median-otsu` on its 5 × 5 median. `none` cuts the frame at 1/4 and 3/4.
+    on its 3 × 3 median, `median-otsu` on its 5 × 5 median: highlight above the upper one, shadow at or below the lower.
+    `none` cuts the frame at 1/4 and 3/4. Otsu's thresholds are those of the pixels inside `mask`; where these have
+    one grey value (for two thresholds: two), all is background.
     """
     image = np.asarray(image, np.float32)
     measured = np.ones(image.shape, bool) if mask is None else np.asarray(mask, bool)

@@ -105,10 +105,15 @@ class Down(nn.Module):
     """`down` (`down_two` with size 2) with a kernel and, where wanted, a bias (feature,): halves height and width."""
 
     features: int
+    """Channels of the output."""
     use_bias: bool = True
+    """Add a bias; without effect before a normalisation, hence left out there."""
     size: int = 4
+    """Side of the kernel, 4 or 2 [pixels]."""
     dtype: Any = jnp.float32
+    """Type of the maps; parameters stay float32."""
     backend: Backend = "auto"
+    """How a kernel of 4 × 4 is computed, see `layers`."""
 
     @nn.compact
     def __call__(
@@ -124,10 +129,15 @@ class Up(nn.Module):
     """`up` (`up_two` with size 2) with a kernel and, where wanted, a bias (feature,): doubles height and width."""
 
     features: int
+    """Channels of the output."""
     use_bias: bool = True
+    """Add a bias; without effect before a normalisation, hence left out there."""
     size: int = 4
+    """Side of the kernel, 4 or 2 [pixels]."""
     dtype: Any = jnp.float32
+    """Type of the maps; parameters stay float32."""
     backend: Backend = "auto"
+    """How a kernel of 4 × 4 is computed, see `layers`."""
 
     @nn.compact
     def __call__(
@@ -150,9 +160,13 @@ class Patch(nn.Module):
     """`patch` with a kernel and, where wanted, a bias (feature,): one pixel less each way."""
 
     features: int
+    """Channels of the output."""
     use_bias: bool = True
+    """Add a bias."""
     dtype: Any = jnp.float32
+    """Type of the maps; parameters stay float32."""
     backend: Backend = "auto"
+    """How it is computed, see `layers`."""
 
     @nn.compact
     def __call__(

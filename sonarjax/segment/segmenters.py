@@ -21,8 +21,8 @@ def segment(
 ) -> UInt8[np.ndarray, "range beam"]:
     """Labels (range, beam) of a grey frame: 0 background, 1 highlight, 2 shadow; pixels outside `mask` are background.
 
-    `pix2pix` is the shipped network; for the classical ones see `threshold_labels`. Raises SonarjaxError for an unknown
-    name, or a network that cannot be loaded.
+    `pix2pix` is the shipped network, the others are thresholds; `help(sonarjax.segment)` says what each name stands
+    for. Raises SonarjaxError for an unknown name, or a network that cannot be loaded.
     """
     check_segmenter(name)
     if name != "pix2pix":

@@ -65,7 +65,9 @@ class GanConfig:
     adversarial: float = 1.0
     """Weight of the discriminator's verdict in the generator's loss."""
     cross_entropy: float = 0.0
-    """Weight of cross-entropy in the generator's loss, beside eq. 3; needs the head `classes`."""
+    """Weight of cross-entropy in the generator's loss, beside eq. 3; needs the head `classes`.
+
+    With one channel it is 0 whatever the map: a recipe that asks for it is refused."""
     class_weights: tuple[float, float, float] = (1.0, 1.0, 1.0)
     """Weights of background, highlight and shadow in cross-entropy."""
     ema_decay: float = 0.999

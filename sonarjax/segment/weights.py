@@ -83,11 +83,6 @@ def load_generator(path: str | os.PathLike[str] | None = None) -> GeneratorWeigh
     return GeneratorWeights(jax.tree_util.tree_unflatten(tree, leaves), module)
 
 
-def describe_weights(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """What a weights file says about itself: recipe, seed, versions, metrics. Raises SonarjaxError as loading does."""
-    return read_safetensors(path)[1]
-
-
 def shipped_path() -> Path:
     """The weights file that came with the package. Raises SonarjaxError when there is none, or more than one."""
     folder = resources.files("sonarjax.segment") / SHIPPED

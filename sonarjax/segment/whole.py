@@ -28,8 +28,8 @@ CLOSER = 3
 LEAST_SHARE = 0.2
 """Least evidence of an object that is looked at closely, relative to that of the clearest."""
 MARGIN, MARGIN_OF_FRAME = 0.15, 0.015
-"""Margin on each side of a closer look, in extents of the object plus extents of the frame: on validation frames the
-correlation with the own template was largest for it, among margins half to four times as wide (an early network)."""
+"""Margin on each side of a closer look, in extents of the object plus extents of the frame: a quarter of the largest
+that a training crop has (see `data.crops`)."""
 
 
 def segment_frame(

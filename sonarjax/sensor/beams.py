@@ -30,7 +30,9 @@ def beam_mixing(sonar: Sonar, widening: Any = 1.0, ways: Any = 2.0) -> Float[Arr
     """What share of beam `beam`'s energy comes from the azimuth of `source`: matrix (beam, source), rows sum to one.
 
     `widening` is the −3 dB width in units of the sonar's `beam_width`, or of the beam's own spacing where that is 0;
-    `ways` is 1 for a pattern on reception only, 2 on transmission too. Beam tables may be uneven.
+    `ways` is 1 for a pattern on reception only, 2 on transmission too. Beam tables may be uneven. Mean energies add
+    over azimuth, weighted by both patterns, as in reverberation (Urick, Principles of Underwater Sound, 1983, ch. 8).
+    That rows sum to one, and `ways` between 1 and 2, are choices of ours.
     """
     spacing = jnp.diff(sonar.azimuth_edges)
     own = jnp.asarray(sonar.beam_width, jnp.float32)
@@ -44,7 +46,8 @@ def crosstalk_mixing(n_beams: int, leak: Any, period: Any) -> Float[Array, "beam
     """Leakage between beams of one firing group, whose numbers differ by multiples of `period`: rows sum to one.
 
     The matrix (beam, source) gives the nearest such beams `leak` of the own beam's weight, and half as much with every
-    further period. A DIDSON fires 8 sets of 12 beams, hence a comb of period 8.
+    further period. No source: a model of ours for strong echoes that leak into beams fired at the same time. That a
+    DIDSON fires 8 sets of 12 beams, hence a comb of period 8, is an assumption, not checked on a device.
     """
     apart = jnp.abs(jnp.arange(n_beams)[:, None] - jnp.arange(n_beams)[None, :]).astype(jnp.float32)
     turns = jnp.round(apart / period)
@@ -62,12 +65,16 @@ def streaks(
     """Energy (range, beam) with specular rows smeared over all beams, as a glint does through far side lobes.
 
     A row gains `level` of its brightest object pixel (energy × `highlight`, (range, beam)), in proportion to how that
-    compares with the frame's brightest: only the glint itself makes a visible line.
+    compares with the frame's brightest: only the glint itself makes a visible line. No source: a model of ours for
+    the rows that specular faces light in real ARIS frames.
     """
     peak = jnp.max(image * highlight, axis=1, keepdims=True)
     return image + level * peak * (peak / jnp.maximum(jnp.max(peak), 1e-30))
 
 
 def beam_gains(n_beams: int, std_db: Any, *, key: jax.Array) -> Float[Array, "beam"]:
-    """Gain (beam,) of each beam's energy: normal in dB with a standard deviation of `std_db` [dB] around 0 dB."""
+    """Gain (beam,) of each beam's energy: normal in dB with a standard deviation of `std_db` [dB] around 0 dB.
+
+    No source: a model of ours for what is left of the differences between a device's channels.
+    """
     return 10 ** (jnp.asarray(std_db, jnp.float32) * jax.random.normal(key, (n_beams,)) / 10)

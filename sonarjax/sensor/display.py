@@ -17,7 +17,9 @@ def compress(
     """Grey value (...) in [0, 1] of `energy` (...), whose 1 lies `gain` [dB] below white.
 
     A blend of two curves that meet at white: the logarithm over `dynamic_range` [dB] with the weight `log_share`, and
-    energy^`exponent` (0.5: amplitude; 0.25: its square root, about what an Oculus stores).
+    energy^`exponent` (0.5: amplitude; 0.25: its square root, about what an Oculus stores). The logarithm is how
+    ARIS files store it, over 80 dB (see `io.aris`); the square root was measured on real Oculus pings. No source for
+    the blend: a model of ours, which makes one family of such devices.
     """
     nepers = jnp.log(jnp.maximum(energy, TINY)) - jnp.asarray(gain, jnp.float32) * (jnp.log(10.0) / 10)
     logarithm = 1 + nepers * (10 / jnp.log(10.0)) / dynamic_range
@@ -28,7 +30,10 @@ def compress(
 
 @jax.custom_jvp
 def quantise(image: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
-    """`image` (...) in [0, 1] as the nearest of the 256 values n/255; its derivative is taken to be 1."""
+    """`image` (...) in [0, 1] as the nearest of the 256 values n/255; its derivative is taken to be 1.
+
+    Eight bits are what ARIS, DIDSON and Oculus files store (see `io`). No source for the derivative: a choice of ours.
+    """
     return jnp.round(255 * image) / 255
 
 

@@ -39,7 +39,8 @@ def bounce_points(points: Float[Array, "point 3"], sonar: Sonar, plane: Any, pat
 def bounce_mesh(mesh: Mesh, pose: Pose, sonar: Sonar, plane: Any, path: Any) -> Mesh:
     """The mesh at `pose`, mirrored in z = `plane` [m] as `bounce_points` has it, in the ground frame.
 
-    Faces keep looking outwards. Those that lie on the mirror are dropped: no sound comes between.
+    Faces keep looking outwards. Those that lie on the mirror are dropped: no sound comes between. The image method
+    (Urick, 1983, ch. 5).
     """
     ground = pose.to_ground(mesh.vertices)
     on_plane = jnp.all(jnp.abs(ground[mesh.faces][..., 2] - plane) < 1e-3, axis=1)
@@ -59,7 +60,8 @@ def render_bounces(
     """Echoes (range, beam) that come by way of floor and surface, weakened by the model's bounce coefficients.
 
     Its highlight says where they are; it has no shadow and no floor. What the object itself hides of its mirror image
-    is left out only where it stands on the mirror. Raises SonarjaxError as `render` does.
+    is left out only where it stands on the mirror. Raises SonarjaxError as `render` does. The image method (Urick,
+    1983, ch. 5) with one bounce each; one loss for all angles is a simplification of ours.
     """
     if not isinstance(mesh, Mesh):
         mesh, pose = place_together(mesh, pose)

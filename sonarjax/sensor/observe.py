@@ -55,7 +55,8 @@ def observe(
 
     The frame is one of `with_skirts(sonar)`, or the vertical pattern ends sharply at the aperture. `bounces` are the
     echoes of `render_bounces`. Works under jit and vmap over keys, models, frames and sonars; differentiable but for
-    the quantisation, whose derivative is taken to be 1.
+    the quantisation, whose derivative is taken to be 1. No source for the whole: each effect has its own, and the
+    automatic gain, energy over a power of its mean, is a model of ours.
     """
     gains_key, texture_key, speckle_key = jax.random.split(key, 3)
     energy = received_energy(frame, sonar, model, bounces) * beam_gains(
@@ -75,7 +76,9 @@ def received_energy(
     """Mean energy (range, beam) after propagation, beams, pulse and gain, relative to the floor on the beam axis.
 
     Nothing in it is random: it is what speckle multiplies. The vertical pattern is that at the floor's elevation in
-    each pixel, for objects too; bounces come from other angles and go without.
+    each pixel, for objects too; bounces come from other angles and go without. The terms are those of the sonar
+    equation (Urick, Principles of Underwater Sound, 1983, ch. 2), on top of eq. 2; one backscatter for all objects, and
+    a free power of cos(incidence) for the floor, after Lambert's law (Urick, ch. 8), are models of ours.
     """
     ranges = range_middles(sonar)
     object_gain = 10 ** (jnp.asarray(model.object_gain, jnp.float32) / 10)
@@ -97,7 +100,10 @@ def received_energy(
 
 
 def speckle(sonar: Sonar, model: SensorModel, *, key: jax.Array) -> Float[Array, "range beam"]:
-    """Speckle intensity (range, beam) of mean 1 with the model's contrast, looks and correlation."""
+    """Speckle intensity (range, beam) of mean 1 with the model's contrast, looks and correlation.
+
+    No source for the order of the steps: each of them, `complex_field` to `multi_look`, has its own.
+    """
     contrast = jnp.clip(jnp.asarray(model.speckle, jnp.float32), 0.0, 1.0)
     diffuse = 1 - jnp.sqrt(jnp.maximum(1 - contrast**2, 1e-12))
     field = complex_field(sonar.shape, key=key)
@@ -118,7 +124,8 @@ def observe_scene(
 ) -> tuple[Float[Array, "range beam"], SonarFrame]:
     """The observed image (range, beam) of objects on the floor with their multipath, and the clean frame behind it.
 
-    `sub_beams` and `elevations` as in `render`; raises SonarjaxError as it does.
+    `sub_beams` and `elevations` as in `render`; raises SonarjaxError as it does. `render` (eq. 1 and eq. 2),
+    `render_bounces` and `observe` in a row.
     """
     if not isinstance(mesh, Mesh):
         mesh, pose = place_together(mesh, pose)

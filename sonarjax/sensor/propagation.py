@@ -57,8 +57,9 @@ def time_varied_gain(
 def elevation_gain(offset: Float[Array, "*batch"], aperture: Any, skirt: Any) -> Float[Array, "*batch"]:
     """Two-way gain (...) at an elevation `offset` [rad] off the beam axis: flat, −3 dB at half the `aperture` [rad].
 
-    Beyond it the gain falls by `skirt` [dB per degree]; 10 to 14 fits an ARIS 3000, whose lens gives a flat top and
-    steep skirts instead of a line array's sinc². A logistic curve in dB, of our own choice.
+    Beyond it the gain falls by `skirt` [dB per degree]. No source for the curve: a logistic one in dB, a model of ours
+    for a lens, which gives a flat top and steep skirts instead of a line array's sinc². Skirts of 10 to 14 are those of
+    a public fit to an ARIS 3000, whose author is not on record.
     """
     beyond = jnp.degrees(jnp.abs(offset) - jnp.asarray(aperture, jnp.float32) / 2)
     return 1 / (1 + 10 ** jnp.clip(jnp.asarray(skirt, jnp.float32) * beyond / 10, -20.0, 20.0))
@@ -67,7 +68,7 @@ def elevation_gain(offset: Float[Array, "*batch"], aperture: Any, skirt: Any) ->
 def with_skirts(sonar: Sonar) -> Sonar:
     """The sonar with `SKIRT` more aperture above and below: what is rendered where `elevation_gain` has its say.
 
-    A template ends sharply at the aperture, an image fades there.
+    A template ends sharply at the aperture, an image fades there. No source: a choice of ours.
     """
     return sonar.replace(elevation_aperture=sonar.elevation_aperture + 2 * SKIRT)
 
@@ -75,7 +76,8 @@ def with_skirts(sonar: Sonar) -> Sonar:
 def floor_elevation(sonar: Sonar) -> Float[Array, "range beam"]:
     """Elevation [rad] in the sonar frame of the floor that each pixel (range, beam) shows, without roll.
 
-    From r·(sin φ cos T − cos φ cos θ sin T) = −height. Straight down where the range is shorter than the height.
+    From r·(sin φ cos T − cos φ cos θ sin T) = −height. Straight down where the range is shorter than the height. No
+    source: plane geometry in the package's frames.
     """
     tilt = jnp.asarray(sonar.tilt, jnp.float32)
     forward = jnp.cos(jnp.asarray(sonar.azimuth)) * jnp.sin(tilt)
@@ -93,14 +95,15 @@ def _arcsin(x: Array) -> Array:
 
 
 def range_middles(sonar: Sonar) -> Float[Array, "range"]:
-    """Slant range (range,) [m] of the middle of each bin."""
+    """Slant range (range,) [m] of the middle of each bin. No source: the definition of the bins."""
     return sonar.range_min + sonar.range_bin * (jnp.arange(sonar.n_ranges, dtype=jnp.float32) + 0.5)
 
 
 def reference_range(sonar: Sonar) -> Float[Array, ""]:
     """Slant range [m] at which the beam axis meets the floor; between 1.05 and 6 heights where it is far or nowhere.
 
-    It depends on neither the window nor what is in it, so a crop of a frame is processed as the frame is.
+    It depends on neither the window nor what is in it, so a crop of a frame is processed as the frame is. No source: a
+    choice of ours.
     """
     down = jnp.sin(jnp.clip(jnp.asarray(sonar.tilt, jnp.float32), 1 / 6, math.asin(1 / 1.05)))
     return sonar.height / down
@@ -133,6 +136,8 @@ def pulse_blur(image: Float[Array, "range beam"], pulse_bins: Any) -> Float[Arra
 def noise_floor(ranges: Float[Array, "*batch"], level: Any, range_max: Any) -> Float[Array, "*batch"]:
     """Mean energy (...) of the receiver's noise after its gain: level·(r/range_max)² at `ranges` (...) [m].
 
-    `level` is an energy, that at `range_max` [m]. What a gain of 20 log r makes of noise that does not depend on range.
+    `level` is an energy, that at `range_max` [m]. The sonar equation's noise does not depend on range (Urick, 1983,
+    ch. 2); a gain of 20 log r makes this of it. No source for that gain: a model of ours, whatever the time-varied gain
+    of the echoes.
     """
     return level * jnp.square(ranges / range_max)

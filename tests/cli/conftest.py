@@ -85,7 +85,7 @@ def stand_in(monkeypatch) -> SimpleNamespace:
 
     for name, members in (
         ("recognize", {"recognize": recognize, "to_json": to_json, "Recognizer": accept}),
-        ("segment", {"segment": segment, "SEGMENTERS": ("pix2pix", "none")}),
+        ("segment", {"segment": segment}),
     ):
         module = ModuleType(f"sonarjax.{name}")
         vars(module).update(members)

@@ -1,4 +1,4 @@
-"""Arguments: help at once and without JAX, one line for each mistake, and a stdout that may fail."""
+"""Arguments: help without what only one command needs, one line for each mistake, and a stdout that may fail."""
 
 import os
 import subprocess
@@ -6,6 +6,8 @@ import sys
 from pathlib import Path
 
 import pytest
+
+from sonarjax.segment import SEGMENTERS
 
 ROOT = Path(__file__).parents[2]
 COMMANDS = ("render", "segment", "recognize", "train", "info")
@@ -33,6 +35,11 @@ def test_help_names_what_the_contract_lists(command, command_name):
         "info": ("FILE",),
     }[command_name]
     assert all(word in out for word in expected)
+
+
+def test_help_names_every_segmenter(command):
+    _, out, _ = command("recognize", "--help")
+    assert ",".join(SEGMENTERS) + ";" in "".join(out.split())  # a name may be broken at its hyphen
 
 
 def test_help_and_mistakes_draw_and_plot_nothing():

@@ -7,6 +7,8 @@ import struct
 import numpy as np
 import pytest
 
+from sonarjax.io.safetensors import write_safetensors
+
 SHAPE = (64, 24)
 
 
@@ -187,6 +189,19 @@ def test_info_tells_what_a_file_holds(command, place, tmp_path):
         code, out, err = command("info", path)
         assert (code, err) == (0, "")
         assert word in out
+
+
+def test_info_tells_how_weights_were_trained(command, complaint, tmp_path):
+    path = tmp_path / "w.safetensors"
+    about = {"step": 16, "recipe": {"name": "smoke", "networks": {"width": 4}}, "metrics": {"iou_mean": 0.25}}
+    write_safetensors(path, {"a": np.zeros((4, 3), np.float32), "b": np.zeros(2, np.float16)}, about)
+    code, out, err = command("info", path)
+    assert (code, err) == (0, "")
+    said = dict(line.split(maxsplit=1) for line in out.splitlines())
+    assert said["arrays"] == "2, together 14 numbers"
+    assert (said["recipe.name"], said["recipe.networks.width"], said["metrics.iou_mean"]) == ("smoke", "4", "0.25")
+    path.write_bytes(path.read_bytes()[:40])
+    assert "complete safetensors file" in complaint(1, "info", path)
 
 
 def test_info_of_what_cannot_be_read(complaint, bad, tmp_path):

@@ -5,8 +5,6 @@ import json
 import numpy as np
 import pytest
 
-recognizer = pytest.importorskip("sonarjax.recognize", reason="the recognizer is not there yet")
-
 FIELDS = {
     "frame", "identified", "score", "score_bank", "score_refined", "threshold", "yaw_bin_deg", "yaw_deg", "yaw_std_deg",
     "x_m", "y_m", "scores_by_yaw", "hypotheses", "segmenter", "seconds", "schema",

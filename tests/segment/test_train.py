@@ -15,7 +15,7 @@ from PIL import Image
 
 from sonarjax.data import Pairs, split_key
 from sonarjax.io import SonarjaxError
-from sonarjax.segment.step import create_state
+from sonarjax.segment.step import GanConfig, create_state
 from sonarjax.segment.training import PRESETS, Recipe, batches, discriminative, find_recipe, loop, train
 from sonarjax.segment.training.batches import Batches, validation_set
 from sonarjax.segment.training.devices import device_mesh, make_step
@@ -74,7 +74,19 @@ def test_stops_when_told_and_goes_on(done, folder, tmp_path, monkeypatch):
     assert again.finished and recorded(tmp_path / "run") == recorded(done[0])
 
 
-def test_divergence_stops_with_the_last_good_checkpoint_kept(folder, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("first", "loss", "weight", "log_steps", "complaint"),
+    [
+        (5, np.nan, np.nan, 1, "step 5: the loss `distance` is nan; the last good .* step 4"),
+        (6, 1.0, np.nan, 1, "step 6: a weight is not finite; the last good .* step 4"),
+        # The next look at the losses would be at step 8, the end of an epoch, and a checkpoint comes before.
+        (5, 1e6, 1.0, 100, r"step 6: the loss `distance` is [\de+.]+; the last good .* step 4"),
+    ],
+)
+def test_divergence_stops_with_the_last_good_checkpoint_kept(
+    folder, tmp_path, monkeypatch, first, loss, weight, log_steps, complaint
+):
+    """From the step `first` on, the distance and the generator's weights are those of the run times these."""
     advance = loop.make_step
 
     def poisoned(recipe, mesh):
@@ -82,18 +94,16 @@ def test_divergence_stops_with_the_last_good_checkpoint_kept(folder, tmp_path, m
 
         def wrong(state, *rest):
             state, losses = step(state, *rest)
-            if int(state.step) < 5:
+            if int(state.step) < first:
                 return state, losses
-            broken = jax.tree.map(lambda v: jnp.nan * v, state.generator)
-            return replace(state, generator=broken), losses | {"distance": jnp.nan * losses["distance"]}
+            broken = jax.tree.map(lambda v: weight * v, state.generator)
+            return replace(state, generator=broken), losses | {"distance": loss * losses["distance"]}
 
         return wrong
 
     monkeypatch.setattr(loop, "make_step", poisoned)
-    with pytest.raises(SonarjaxError, match="step 5: the loss `distance` is nan; the last good .* step 4"):
-        train(tiny_recipe(folder), tmp_path / "run")
-    with pytest.raises(SonarjaxError, match="step 6: a weight is not finite; the last good .* step 4"):
-        train(tiny_recipe(folder, log_steps=100), tmp_path / "silent")
+    with pytest.raises(SonarjaxError, match=complaint):
+        train(tiny_recipe(folder, log_steps=log_steps), tmp_path / "run")
 
 
 @pytest.fixture
@@ -166,6 +176,13 @@ def test_pairs_of_validation_are_no_pairs_of_training(folder):
         ({"pairs": 4}, "at least one batch of 8"),
         ({"discriminative": True}, "head `classes`"),
         ({"sets": 2}, "is one set"),
+        ({"mirrored": -0.1}, "mirrored: expected a share from 0 to 1, got -0.1"),
+        ({"plain": 1.5}, "plain: expected a share from 0 to 1, got 1.5"),
+        ({"plain": float("nan")}, "plain: expected a share"),
+        (
+            {"networks": GanConfig(cross_entropy=20.0)},
+            "networks.head: expected `classes` for cross_entropy 20, got `tanh`",
+        ),
     ],
 )
 def test_recipes_that_cannot_be_followed(tmp_path, changes, complaint):

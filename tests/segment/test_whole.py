@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sonarjax.data import Box
+from sonarjax.data import Box, crops
 from sonarjax.segment import whole
 from sonarjax.segment.generator import Generator
 from sonarjax.segment.weights import GeneratorWeights
@@ -38,6 +38,11 @@ def scene(shape=(512, 96)) -> np.ndarray:
     near, beam = 0.4 * shape[0], 0.5 * shape[1]
     grey = 0.5 + 0.5 * bump((near, beam), (12, 6)) - 0.5 * bump((near + 28, beam), (20, 6))
     return grey.astype(np.float32)
+
+
+def test_margins_are_a_quarter_of_the_largest_of_training():
+    assert pytest.approx(crops.MARGIN[1] / 4) == whole.MARGIN
+    assert pytest.approx(crops.MARGIN_OF_FRAME[1] / 4) == whole.MARGIN_OF_FRAME
 
 
 @pytest.mark.parametrize(("shape", "tiles"), [((512, 96), TILES), ((256, 64), 1), ((100, 40), 1), ((700, 130), 20)])

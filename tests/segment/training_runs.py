@@ -26,7 +26,7 @@ def tiny_recipe(folder, **changes):
 
     networks = GanConfig(width=2, discriminator_width=2, multipliers=(1, 1, 1, 1, 1, 1, 1))
     usual = {"batch": 8, "pairs": 32, "passes": 3, "validation_pairs": 4, "checkpoint_steps": 2, "log_steps": 1}
-    return Recipe(networks=networks, source=str(folder), **(usual | changes))
+    return Recipe(**({"networks": networks, "source": str(folder)} | usual | changes))
 
 
 def plain_pairs(folder, count=36):

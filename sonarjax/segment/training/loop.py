@@ -124,7 +124,7 @@ class _Run:
                     bar.set_postfix({k: f"{v:.3f}" for k, v in self.losses.items()} | {"images/s": f"{rate:.0f}"})
                     curves = {f"loss/{k}": v for k, v in self.losses.items()}
                     journal.scalars(curves | {"images_per_second": rate}, self.step)
-                if self._mark(journal):
+                if self._mark(journal, losses):
                     break
         finished = self.step == recipe.steps
         return TrainResult(self.step, finished, self.metrics, self._write_weights() if finished else None)
@@ -132,7 +132,7 @@ class _Run:
     def _due(self, every: int) -> bool:
         return self.step % every == 0 or self.step % self.recipe.epoch_steps == 0
 
-    def _mark(self, journal: Journal) -> bool:
+    def _mark(self, journal: Journal, losses: dict[str, jax.Array]) -> bool:
         """End an epoch and keep a checkpoint where they are due; True when a stop is wished."""
         # Several processes must agree on it, which takes a message: they ask less often.
         asks = jax.process_count() == 1 or self._due(self.recipe.log_steps)
@@ -141,9 +141,10 @@ class _Run:
             self.metrics, grey = self._judge()
             assert self.validation is not None
             epoch = self.step // self.recipe.epoch_steps
-            losses = {f"loss_{name}": value for name, value in self.losses.items()}
-            journal.epoch(epoch, self.step, losses | self.metrics, contact_sheet(grey, self.validation))
+            values = {f"loss_{name}": value for name, value in self.losses.items()}
+            journal.epoch(epoch, self.step, values | self.metrics, contact_sheet(grey, self.validation))
         if stop or self._due(self.recipe.checkpoint_steps):
+            self._look_at(losses)  # nothing that has diverged is kept, however seldom losses are logged
             if not _all_finite(local_copy(self.state)):
                 raise self._diverged("a weight is not finite")
             self.checkpoints.save(self.state, self.step)

@@ -34,9 +34,9 @@ class Recipe:
     sets: int = 1
     """How many sets are made, one after the other."""
     mirrored: float = 0.5
-    """Share of pairs whose port and starboard are exchanged, others in each pass: a scene that could be as well."""
+    """Share of pairs [1] whose port and starboard are exchanged, others in each pass: a scene that could be as well."""
     plain: float = 0.04
-    """Share whose image is the semantic map itself: what `sonarjax render` writes can be recognized too."""
+    """Share [1] whose image is the semantic map itself: what `sonarjax render` writes can be recognized too."""
     pair_settings: PairSettings = field(default_factory=PairSettings)
     """How pairs are made."""
     source: str | None = None
@@ -70,10 +70,16 @@ class Recipe:
         for name in ("batch", "pairs", "passes", "sets", "validation_pairs", "checkpoint_steps", "log_steps"):
             if getattr(self, name) < 1:
                 raise SonarjaxError(f"recipe: {name}: expected 1 or more, got {getattr(self, name)}")
+        for name in ("mirrored", "plain"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise SonarjaxError(f"recipe: {name}: expected a share from 0 to 1, got {getattr(self, name)}")
         if self.pairs < self.batch:
             raise SonarjaxError(f"recipe: pairs: expected at least one batch of {self.batch}, got {self.pairs}")
         if self.discriminative and self.networks.head != "classes":
             raise SonarjaxError("recipe: a discriminative model needs networks with the head `classes`")
+        weight, head = self.networks.cross_entropy, self.networks.head
+        if weight and head != "classes":
+            raise SonarjaxError(f"recipe: networks.head: expected `classes` for cross_entropy {weight:g}, got `{head}`")
         if self.source is not None and self.sets != 1:
             raise SonarjaxError("recipe: sets: a folder of pairs is one set")
         return self
