@@ -70,11 +70,13 @@ def own_table(name: str, report: dict[str, Any]) -> str:
 
 
 def origin(reports: list[dict[str, Any]]) -> str:
-    """Command with all its options, seeds, date and code of the runs."""
+    """Command with all its options and seeds, date and code of the runs, which several commands may have made."""
     report, seeds = reports[0], [str(one["seed"]) for one in reports]
+    alone = re.sub(r" --seeds( \d+)+", "", report["command"])
+    command = alone if seeds == ["0"] else f"{alone} --seeds {' '.join(seeds)}"
     drawn = f"seed {seeds[0]}" if len(seeds) == 1 else f"seeds {', '.join(seeds)}: mean ± largest deviation"
     code = f"commit {report['git']}" if report["git"] else f"code {report['code']}"
-    return f"`{report['command']}`, {drawn}; {report['date']}, {code}"
+    return f"`{command}`, {drawn}; {report['date']}, {code}"
 
 
 def spaced(text: str) -> str:

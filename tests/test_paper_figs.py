@@ -526,3 +526,11 @@ def test_the_terminal_ends_with_the_table_and_the_path(
     assert "| item | what | paper | ours | note |" in said
     assert made == ["reproduce_paper"]  # once, for the page and the terminal
     assert path.is_file()
+
+
+def test_readme_s_command_makes_all_seeds_though_several_commands_did() -> None:
+    made = {"command": "python -m experiments.x --step-deg 30 --seeds 0 1", "date": "2020-02-02", "git": "0123456789"}
+    alone = "`python -m experiments.x --step-deg 30`, seed 0; 2020-02-02, commit 0123456789"
+    assert readme.origin([made | {"seed": 0}]) == alone
+    said = readme.origin([made | {"seed": seed} for seed in (0, 1, 2)])
+    assert said.startswith("`python -m experiments.x --step-deg 30 --seeds 0 1 2`, seeds 0, 1, 2: mean ± largest dev")
