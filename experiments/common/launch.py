@@ -166,7 +166,7 @@ def mean_and_spread(values: list[float]) -> Any:
 
 
 def _mean(values: list[float]) -> float:
-    return sum(values) / len(values)
+    return values[0] if min(values) == max(values) else sum(values) / len(values)  # no 0.8000000000000002 of 0.8
 
 
 def _deviation(values: list[float]) -> float:
