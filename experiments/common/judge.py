@@ -59,7 +59,7 @@ def recognize_all(
 
     `segmenter` is one of `common.segmenters`. Yaw is judged on the target alone: other frames are not refined.
     """
-    sought, limit = target() if mesh is None else mesh, threshold_of(segmenter)  # a wrong name is noticed before all
+    sought, limit = target() if mesh is None else mesh, threshold_of(segmenter)  # first: a wrong name is told at once
     results, seconds = [], []
     for frame in tqdm(frames, desc=segmenter, unit="frame", leave=False, disable=None):
         started = time.perf_counter()

@@ -44,10 +44,10 @@ def summary_deg(errors: np.ndarray) -> dict[str, float]:
 
 
 def percentile_gap(errors: Any, others: Any, percentile: float, seed: int = 0) -> tuple[float, float, float]:
-    """A percentile of errors (frame,) less that of others (frame,) on the same frames; from where to where by chance.
+    """A percentile of errors (frame,) less that of others (frame,) on the same frames, and its range by chance.
 
-    The range is the middle 95 % of a paired bootstrap over frames (Efron and Tibshirani, An Introduction to the
-    Bootstrap, 1993, ch. 13), too narrow where neighbouring frames are alike.
+    All three have the unit of the errors. The range is the middle 95 % of a paired bootstrap over frames (Efron and
+    Tibshirani, An Introduction to the Bootstrap, 1993, ch. 13), too narrow where neighbouring frames are alike.
     """
 
     def gap(one: np.ndarray, other: np.ndarray, axis: int = -1) -> Any:

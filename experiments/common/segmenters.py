@@ -50,7 +50,8 @@ def map_of(name: str, frame: TestFrame) -> np.ndarray:
 def asked_for(name: str, frame: TestFrame) -> dict[str, Any]:
     """What to give `recognize` beside the frame's image: the name of a segmenter of the package, or another's map.
 
-    With its threshold. Raises SonarjaxError as `map_of` and `threshold_of` do.
+    As keyword arguments, the threshold fixed on validation frames with them. Raises SonarjaxError as `map_of` and
+    `threshold_of` do.
     """
     how: dict[str, Any] = {"segmenter": name} if name in SEGMENTERS else {"semantic": map_of(name, frame)}
     return how | {"threshold": threshold_of(name)}
