@@ -14,16 +14,16 @@ Conventions, everywhere in the package:
 - Random functions take a keyword-only `key`.
 """
 
-from sonarjax._cache import enable_compilation_cache
+
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.match import match_bank, match_positions
-from sonarjax.recognize import Recognition, Recognizer, recognize
-from sonarjax.refine import YawEstimate, refine_yaw
+
+
 from sonarjax.render import SonarFrame, TemplateBank, render, template_bank
 from sonarjax.scene import Mesh, Pose, objects
 from sonarjax.sonar import FloorPatch, Sonar
 
-enable_compilation_cache()
+
 
 __version__ = "0.1.0"
 

@@ -15,13 +15,14 @@ import jax.numpy as jnp
 from jax.random import fold_in
 from jaxtyping import Array, Float, UInt8
 
-from sonarjax._cores import SINGLE_CORE, side_by_side
 from sonarjax.data.crops import cut_box, cut_labels, draw_box
 from sonarjax.data.objects import draw_shape
 from sonarjax.data.scenes import render_scenes
 from sonarjax.data.shapes import remove_walls, shape_mesh
 from sonarjax.data.views import draw_view
+from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.render import RenderQuality
 from sonarjax.scene import Pose
 from sonarjax.sensor import SensorModel, observe, render_bounces
 
@@ -72,7 +73,9 @@ def split_key(run_seed: int, split: str) -> Array:
     return fold_in(jax.random.key(run_seed), SPLITS[split])
 
 
-def make_pairs(count: int, settings: PairSettings = PairSettings(), *, key: Array, first: int = 0) -> Pairs:
+def make_pairs(
+    count: int, settings: PairSettings = PairSettings(), *, key: Array, first: int = 0, engine: Engine = PLAIN
+) -> Pairs:
     """`count` pairs, numbers `first` and on of those of `key`: pair i is the same whatever is made beside it.
 
     Raises SonarjaxError when `count` is below 1.
@@ -85,7 +88,7 @@ def make_pairs(count: int, settings: PairSettings = PairSettings(), *, key: Arra
     def chunk(start: int) -> Pairs:
         return _chunk(key, jnp.uint32(start), size, settings)
 
-    parts = [chunk(starts[0]), *side_by_side(chunk, starts[1:])]  # the first alone: else each thread would compile it
+    parts = [chunk(starts[0]), *engine.map(chunk, starts[1:])]  # the first alone: else each thread would compile it
     return jax.tree.map(lambda *v: jnp.concatenate(v)[:count], *parts)
 
 
@@ -94,7 +97,7 @@ def paper_pairs(run_seed: int, settings: PairSettings = PairSettings()) -> Pairs
     return make_pairs(PAPER_PAIRS, settings, key=split_key(run_seed, "train"))
 
 
-@partial(jax.jit, static_argnames=("size", "settings"), compiler_options=SINGLE_CORE)
+@partial(jax.jit, static_argnames=("size", "settings"))
 def _chunk(key: Array, start: Array, size: int, settings: PairSettings) -> Pairs:
     numbers = start + jnp.arange(size, dtype=jnp.uint32)
     at_once = None if jax.default_backend() == "cpu" else size
@@ -110,10 +113,10 @@ def draw_pair(settings: PairSettings, *, key: Array) -> Pairs:
     low, high = settings.severity
     severity = jax.random.uniform(severity_key, minval=low, maxval=high)
     model = SensorModel.draw(key=model_key, severity=severity)
-    quality = {"sub_beams": settings.sub_beams, "elevations": settings.elevations}
-    alone, seen = render_scenes(mesh, view, **quality)
-    echoes = render_bounces(remove_walls(mesh), Pose(), view.sonar, model, **quality)
-    image = observe(seen, view.sonar, model, key=noise_key, bounces=echoes)
+    quality = RenderQuality(settings.sub_beams, settings.elevations)
+    alone, seen = render_scenes(mesh, view, quality)
+    echoes = render_bounces(remove_walls(mesh), Pose(), view.sonar, model, quality=quality)
+    image = observe(seen, model, key=noise_key, bounces=echoes)
     box = draw_box(alone.labels(), key=box_key)
     patch = jnp.round(255 * jnp.clip(cut_box(image, box), 0.0, 1.0)) / 255
     return Pairs(patch, cut_labels(alone.highlight, alone.shadow, box))

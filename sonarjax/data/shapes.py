@@ -104,12 +104,12 @@ def shape_mesh(kind: Int[Array, ""], vertices: Float[Array, "vertex 3"], walls: 
         vertices=jnp.concatenate([vertices, walls]),
         faces=faces,
         crease=jnp.concatenate([jnp.asarray(_CREASES)[kind], N_VERTICES + jnp.array(_FAR_EDGES)]),
-        closed=True,
+        closed=jnp.asarray(True),
+        radius=jnp.float32(1.0),
+        top=jnp.float32(2.0),
         crossings=CROSSINGS,
         front=N_FACES + WALL_FACES,
-        crossing=False,
-        radius=1.0,
-        top=2.0,
+        intersecting=False,
     )
 
 

@@ -17,7 +17,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from sonarjax._cores import quick_jit
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.match.masked import MIN_VALID, NEAR_CONSTANT, masked_frame, masked_maps, weighted_frame, weighted_maps
 from sonarjax.match.spectra import (
@@ -158,7 +157,7 @@ def _spectra(templates: Array, image_shape: tuple[int, int], masked: bool) -> Te
     return template_spectra(templates, image_shape, masked=masked)
 
 
-@partial(quick_jit, static_argnums=2)
+@partial(jax.jit, static_argnums=2)
 def _match_plain(image: Array, spectra: TemplateSpectra, reduce: Callable[..., Any]) -> Any:
     centred = image - jnp.mean(image)  # the mean cancels in eq. 4, but its size would cost float32 digits
     energy = window_moments(centred, spectra.template_shape).energy
@@ -172,7 +171,7 @@ def _match_plain(image: Array, spectra: TemplateSpectra, reduce: Callable[..., A
     return _per_yaw(over_chunks(chunk, spectra.planes), spectra.yaw_count)
 
 
-@partial(quick_jit, static_argnums=(4, 5))
+@partial(jax.jit, static_argnums=(4, 5))
 def _match_masked(
     image: Array, spectra: TemplateSpectra, mask: Array, min_valid: Any, reduce: Callable, whole: bool
 ) -> Any:
@@ -184,7 +183,7 @@ def _match_masked(
     return _per_yaw(over_chunks(chunk, (spectra.planes, spectra.squares, spectra.echoes)), spectra.yaw_count)
 
 
-@partial(quick_jit, static_argnums=5)
+@partial(jax.jit, static_argnums=5)
 def _match_weighted(
     image: Array, templates: Array, mask: Array, template_mask: Array, min_valid: Any, reduce: Callable
 ) -> Any:

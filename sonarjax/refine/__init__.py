@@ -1,5 +1,6 @@
-"""Continuous yaw (and x, y): objective, solver and error bars (beyond the paper)."""
+"""Continuous yaw (and x, y): objective, solver, error bars and implicit derivative (beyond the paper)."""
 
-from sonarjax.refine.yaw import YawEstimate, refine_yaw
+from sonarjax.refine.config import RefineConfig
+from sonarjax.refine.yaw import YawEstimate, plan_refinement, refine_yaw
 
-__all__ = ["YawEstimate", "refine_yaw"]
+__all__ = ["RefineConfig", "YawEstimate", "plan_refinement", "refine_yaw"]

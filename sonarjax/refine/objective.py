@@ -9,10 +9,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
-from sonarjax.render import Window
-from sonarjax.scene import Pose
+from sonarjax.refine.template import Subject, draw
 
 SMALL = 1e-9
 BEAMS_PER_BIN = 0.4  # a beam is about 2.5 bins wide at the ranges of §4.1: the blur is round on the floor
@@ -20,18 +19,16 @@ ROW_STRIDE = 2  # every second row of a blurred image holds all of it
 
 
 class Problem(NamedTuple):
-    """One frame's refinement: everything the residuals need besides the pose."""
+    """One frame's refinement: the image, and what is drawn to fit it."""
 
     image: Float[Array, "range beam"]
     """The window of the frame, any grey scale."""
     weight: Float[Array, "range beam"]
     """1 where the pixel was measured, else 0."""
-    start: Pose
-    """Where the search starts; its z, roll and pitch are kept."""
-    window: Window
-    """Which part of the frame that is."""
-    sharpness: Float[Array, ""]
-    """How sharply a semantic template is labelled: see `template.labelled`."""
+    subject: Subject
+    """What is drawn."""
+    margin: Int[Array, "2"]
+    """Bins and beams around the start's template that count; more than the window has for all of it."""
 
 
 class Blur(NamedTuple):
@@ -67,24 +64,42 @@ def normalised(image: Float[Array, "range beam"], weight: Float[Array, "range be
     return centred / jnp.sqrt((centred**2).sum() + SMALL)
 
 
+def compare(
+    image: Float[Array, "range beam"], drawn: Float[Array, "range beam"], weight: Float[Array, "range beam"], blur: Blur
+) -> Float[Array, " pixel"]:
+    """Residuals whose squares sum to 2·(1 − NCC) of a template and the image, both blurred, where `weight` is 1."""
+    rows = weight[::ROW_STRIDE]
+    seen = normalised(blur(image * weight), rows)
+    return (normalised(blur(drawn * weight), rows) - seen).reshape(-1)
+
+
+def misfit(problem: Problem, blur: Blur, step: Float[Array, "step"], reverse: bool = False) -> Float[Array, ""]:
+    """1 − NCC of the blurred images at `step` [rad, m, m, 1] from the start: what refinement minimises.
+
+    With `reverse` it can be differentiated by reverse mode too (see `draw`).
+    """
+    drawn = draw(problem.subject, step, reverse)
+    return (compare(problem.image, drawn, problem.weight, blur) ** 2).sum() / 2
+
+
 def crop_score(
     image: Float[Array, "range beam"],
     drawn: Float[Array, "range beam"],
     weight: Float[Array, "range beam"],
-    margin: tuple[int, int],
+    margin: tuple[int, int] | Int[Array, "2"],
 ) -> Float[Array, ""]:
     """NCC (eq. 4) of a rendered template and the image over the template's own box and a `margin` (bins, beams)."""
     inside = weight * box_around(drawn, margin)
     return (normalised(image, inside) * normalised(drawn, inside)).sum()
 
 
-def box_around(drawn: Float[Array, "range beam"], margin: tuple[int, int]) -> Bool[Array, "range beam"]:
+def box_around(drawn: Float[Array, "range beam"], margin: tuple[int, int] | Int[Array, "2"]) -> Bool[Array, "range beam"]:
     """True (range, beam) in the box of what a template of `draw` shows, with a `margin` (bins, beams) around it."""
     touched = jnp.abs(drawn) > 0.01
     return _extent(touched.any(axis=1), margin[0])[:, None] & _extent(touched.any(axis=0), margin[1])
 
 
-def _extent(touched: Bool[Array, "size"], margin: int) -> Bool[Array, "size"]:
+def _extent(touched: Bool[Array, "size"], margin: int | Int[Array, ""]) -> Bool[Array, "size"]:
     index = jnp.arange(len(touched))
     first = jnp.where(touched, index, len(touched)).min() - margin
     last = jnp.where(touched, index, -1).max() + margin

@@ -6,28 +6,46 @@ linear model inside a trust region, which costs next to nothing beside a render.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxopt import LevenbergMarquardt
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
-from sonarjax.refine.objective import ROW_STRIDE, Blur, Problem, box_around, make_blur, normalised
+from sonarjax.refine.objective import ROW_STRIDE, Blur, Problem, box_around, crop_score, make_blur, normalised
 from sonarjax.refine.template import draw_with_slope
-from sonarjax.scene import Mesh
-from sonarjax.sonar import Sonar
 
-TRUST = (0.12, 0.02, 0.02, 0.2)  # largest step in yaw [rad], x, y [m] and a bounce's energy that is believed
+TRUST = (0.12, 0.02, 0.02, 0.2)
+"""Largest step in yaw [rad], x, y [m] and a bounce's energy that is believed."""
 INNER_STEPS = 4
+SETTLED_SHARE = 0.02
+"""Of the trust region: after a smaller step the next blur is begun, or the search ends."""
+POLISHED_SHARE = 5e-4
+"""As `SETTLED_SHARE`, where the last blur is polished."""
+
+
+class Search(NamedTuple):
+    """How one problem is searched: numbers only, so that all searches share compiled code."""
+
+    bounds: Float[Array, "2 step"]
+    """Least and largest step: yaw [rad], x, y [m] and a bounce's energy [1]."""
+    blurs: Float[Array, "blur"]
+    """Standard deviations of the blurs [range bins], coarse to fine."""
+    iterations: Int[Array, ""]
+    """Renders at each blur, at most."""
+    polish: Int[Array, ""]
+    """Further renders at the last blur, at most."""
+    score_margin: Int[Array, "2"]
+    """Bins and beams around the template over which its NCC is reported."""
 
 
 class Found(NamedTuple):
     """The best of the iterations at the finest blur."""
 
     cost: Float[Array, ""]
-    """1 − NCC of the blurred images."""
+    """1 − NCC of the blurred images; infinite where nothing could be compared."""
     step: Float[Array, "step"]
     """Yaw [rad], x [m] and y [m] from the start, and the bounce's energy for the echo."""
     template: Float[Array, "range beam"]
@@ -36,57 +54,92 @@ class Found(NamedTuple):
     """Its derivatives by each number of `step`."""
     remaining: Float[Array, "step"]
     """The step that the linear model would still take from there, as a share of the trust region."""
+
+
+class Solution(NamedTuple):
+    """Where a search ended."""
+
+    best: Found
+    """The best point."""
     weight: Float[Array, "range beam"]
-    """1 where a pixel counted: it was measured, and lies inside the start's margin if there is one."""
+    """1 where a pixel counted: it was measured, and lies inside the start's margin."""
+    start_score: Float[Array, ""]
+    """NCC of the start's template, unblurred."""
+    renders: Int[Array, ""]
+    """How often the template was rendered."""
 
 
-def coarse_to_fine(
-    problem: Problem, mesh: Mesh, sonar: Sonar, bounds: Float[Array, "2 step"],
-    blurs: Float[Array, "blur"], iterations: int, sub_beams: int, template: str, margin: tuple[int, int] | None,
-) -> Found:  # fmt: skip
-    """Minimise 1 − NCC for each blur [range bins] in turn, `iterations` times each, between `bounds` [rad, m, m, 1].
+class _State(NamedTuple):
+    """What the search carries from one render to the next."""
 
-    With a `margin` (bins, beams) only the box of the first template and so much around it counts.
-    """
+    level: Int[Array, ""]
+    renders_here: Int[Array, ""]  # at this blur
+    step: Float[Array, "step"]
+    done: Bool[Array, ""]
+    solution: Solution
+
+
+def coarse_to_fine(problem: Problem, search: Search) -> Solution:
+    """Minimise 1 − NCC at each blur in turn, until steps are small or the renders are used up."""
     shape = (problem.image.shape[0], problem.image.shape[1])
-    ladder = jax.vmap(lambda sigma: make_blur(shape, sigma))(blurs)
-    level = jnp.repeat(jnp.arange(len(blurs)), iterations)
-    # One more look at the last place reached: it may be the best.
-    level = jnp.append(level, len(blurs) - 1)
-    start = jnp.zeros(bounds.shape[1])
-    trust = jnp.asarray(TRUST[: len(start)])
+    last = len(search.blurs) - 1
+    ladder = jax.vmap(lambda sigma: make_blur(shape, sigma))(search.blurs)
+    trust = jnp.asarray(TRUST)
 
-    def iterate(carry: tuple[Array, Array, Found], turn: tuple[Array, Bool[Array, ""]]) -> tuple[Any, None]:
-        step, weight, best = carry
-        level, first = turn
-        blur = jax.tree.map(lambda v: v[level], ladder)
-        drawn, slope = draw_with_slope(problem, mesh, sonar, step, sub_beams, template)
-        if margin is not None:  # here rather than before the loop, which would compile the renderer twice
-            weight = jnp.where(first, weight * box_around(drawn, margin), weight)
-        move, cost = _linear_step(problem._replace(weight=weight), blur, drawn, slope, trust)
-        here = Found(cost, step, drawn, slope, move / trust, weight)
-        better = (level == len(blurs) - 1) & (cost < best.cost)
-        best = jax.tree.map(lambda new, old: jnp.where(better, new, old), here, best)
-        return (jnp.clip(step + move, *bounds), weight, best), None
+    def iterate(state: _State) -> _State:
+        blur = jax.tree.map(lambda v: v[state.level], ladder)
+        drawn, slope = draw_with_slope(problem.subject, state.step)
+        solution, first = state.solution, state.solution.renders == 0
+        # Here rather than before the loop, which would compile the renderer twice.
+        weight = jnp.where(first, problem.weight * box_around(drawn, problem.margin), solution.weight)
+        start_score = crop_score(problem.image, drawn, problem.weight, search.score_margin)
+        change, cost = _linear_step(problem.image, weight, blur, drawn, slope, trust)
+        here = Found(cost, state.step, drawn, slope, change / trust)
+        finest = state.level == last
+        better = finest & (cost < solution.best.cost)
+        best = jax.tree.map(lambda new, old: jnp.where(better, new, old), here, solution.best)
+        next_step = jnp.clip(state.step + change, *search.bounds)
+        moved = jnp.abs((next_step - state.step) / trust).max()
+        small = moved < jnp.where(finest & (search.polish > 0), POLISHED_SHARE, SETTLED_SHARE)
+        # One more look at the last place reached: it may be the best.
+        most = search.iterations + jnp.where(finest, search.polish + 1, 0)
+        over = small | (state.renders_here + 1 >= most)
+        return _State(
+            level=jnp.where(over, jnp.minimum(state.level + 1, last), state.level),
+            renders_here=jnp.where(over, 0, state.renders_here + 1),
+            step=next_step,
+            done=finest & over,
+            solution=Solution(
+                best, weight, jnp.where(first, start_score, solution.start_score), solution.renders + 1
+            ),
+        )
 
+    start = jnp.clip(jnp.zeros(len(trust)), *search.bounds)
     dark, flat = jnp.zeros(shape), jnp.zeros((len(start), *shape))
-    none = Found(jnp.asarray(jnp.inf), start, dark, flat, jnp.ones_like(start), problem.weight)
-    turns = level, jnp.arange(len(level)) == 0
-    (_, _, best), _ = jax.lax.scan(iterate, (start, problem.weight, none), turns)
-    return best
+    none = Found(jnp.asarray(jnp.inf), start, dark, flat, jnp.ones_like(start))
+    zero = jnp.zeros((), jnp.int32)
+    begun = Solution(none, problem.weight, jnp.zeros(()), zero)
+    return jax.lax.while_loop(
+        lambda state: ~state.done, iterate, _State(zero, zero, start, jnp.zeros((), bool), begun)
+    ).solution
 
 
-def _linear_step(problem: Problem, blur: Blur, drawn: Array, slope: Array, trust: Array) -> tuple[Array, Array]:
-    """The step that fits the template's linear model best in the trust region, and 1 − NCC before it."""
-    weight = problem.weight[::ROW_STRIDE]
-    seen = normalised(blur(problem.image * problem.weight), weight)
-    centred = jnp.concatenate([drawn[None], slope * trust[:, None, None]]) * problem.weight
+def _linear_step(
+    image: Array, weight: Array, blur: Blur, drawn: Array, slope: Array, trust: Array
+) -> tuple[Array, Array]:
+    """The step that fits the template's linear model best in the trust region, and 1 − NCC before it.
+
+    Where nothing can be compared (no template, or no pixel of it measured) the step is zero and the cost infinite.
+    """
+    rows = weight[::ROW_STRIDE]
+    seen = normalised(blur(image * weight), rows)
+    centred = jnp.concatenate([drawn[None], slope * trust[:, None, None]]) * weight
     now, *change = blur(stop_gradient(centred))
 
     def residuals(parameters: Float[Array, "step"]) -> Float[Array, "pixel"]:
         share = jnp.tanh(parameters)
         moved = now + sum(share[k] * change[k] for k in range(len(trust)))
-        return (normalised(moved, weight) - seen).reshape(-1)
+        return (normalised(moved, rows) - seen).reshape(-1)
 
     none = jnp.zeros(len(trust))
     solver = LevenbergMarquardt(
@@ -94,4 +147,8 @@ def _linear_step(problem: Problem, blur: Blur, drawn: Array, slope: Array, trust
         materialize_jac=True, implicit_diff=False, jit=True, unroll=False,
     )  # fmt: skip
     found, _ = solver.run(none)
-    return jnp.tanh(found) * trust, (residuals(none) ** 2).sum() / 2
+    cost = (residuals(none) ** 2).sum() / 2
+    comparable = jnp.any(drawn * weight != 0) & jnp.isfinite(cost) & jnp.isfinite(found).all()
+    step = jnp.where(comparable, jnp.nan_to_num(jnp.tanh(found)) * trust, 0.0)
+    return step, jnp.where(comparable, cost, jnp.inf)
+

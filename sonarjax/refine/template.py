@@ -1,32 +1,55 @@
 """What refinement fits to an image: a template rendered at a pose, and its derivatives by all that is fitted.
 
 The `semantic` template is the one that the paper matches. The `echo` is the frame as a device would store it: each
-facet as bright as eq. 2 makes it, and what comes by way of the floor, as bars inside the shadow.
+facet as bright as eq. 2 makes it, and what comes by way of the floor, as bars inside the shadow. Both come from one
+rendered view of the object; the echo needs a second one, of its mirror image in the floor.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
-from sonarjax.refine.objective import Problem
-from sonarjax.render import Window, floor_angle, render_echo, render_window, semantic_image
+from sonarjax.records import record, static
+from sonarjax.render import RenderQuality, Window, floor_angle, render_echo, semantic_image
 from sonarjax.scene import Mesh, Pose
 from sonarjax.sensor import SensorModel
 from sonarjax.sensor.multipath import bounce_mesh, without_floor
 from sonarjax.sensor.propagation import range_middles
 from sonarjax.sonar import Sonar
 
-ELEVATIONS = 64
+Template = Literal["semantic", "echo"]
+VIEWS: dict[str, int] = {"semantic": 1, "echo": 2}
+"""How many views of the object each template takes."""
+BOUNCE_BOUNDS: dict[str, tuple[float, float]] = {"semantic": (0.0, 0.0), "echo": (0.0, 1.0)}
+"""Bounds of the energy that a bounce on the floor leaves [1], which is fitted with yaw, x and y."""
 BACKGROUND = 0.5  # of the semantic image
 DEVICE = SensorModel()  # the nominal device: how bright an echo is beside floor and shadow, and how it is stored
 OBJECT_GAIN = 10 ** (DEVICE.object_gain / 10)
-BESIDES: dict[str, tuple[tuple[float, float], ...]] = {"semantic": (), "echo": ((0.0, 1.0),)}
-"""The templates, and bounds of what each needs besides yaw, x and y: the energy that a bounce on the floor leaves."""
+
+
+@record
+class Subject:
+    """What is drawn: all that a template depends on besides the step that is fitted."""
+
+    mesh: Mesh
+    """The object."""
+    sonar: Sonar
+    """What looks at it."""
+    start: Pose
+    """Where the search starts; its z, roll and pitch are kept."""
+    window: Window
+    """Which part of the frame is drawn."""
+    sharpness: Float[Array, ""]
+    """How sharply a semantic template is labelled: see `labelled`."""
+    views: Int[Array, ""]
+    """1 for the semantic template, 2 for the echo."""
+    quality: RenderQuality = static()
+    """How finely it is rendered."""
 
 
 def labelled(share: Float[Array, "*batch"], sharpness: Float[Array, ""]) -> Float[Array, "*batch"]:
@@ -45,48 +68,60 @@ def pose_at(start: Pose, step: Float[Array, "step"]) -> Pose:
     return Pose(start.x + step[1], start.y + step[2], start.yaw + step[0], start.z, start.roll, start.pitch)
 
 
-def draw(
-    problem: Problem, mesh: Mesh, sonar: Sonar, step: Float[Array, "step"], sub_beams: int, template: str
-) -> Float[Array, "range beam"]:
+def draw(subject: Subject, step: Float[Array, "step"], reverse: bool = False) -> Float[Array, "range beam"]:
     """The window's template at `step` from the start, as what it differs from the bare floor's grey value.
 
-    `step` is yaw [rad], x and y [m], and for the echo the energy that a bounce on the floor leaves [1].
+    `step` is yaw [rad], x and y [m], and the energy that a bounce on the floor leaves [1], for the echo. By forward
+    mode it is differentiated as it is; with `reverse` also by reverse mode, at the price of both views every time.
     """
-    pose = pose_at(problem.start, step)
-    if template == "echo":
-        return _echo(mesh, pose, sonar, problem.window, sub_beams, step[3])
-    layers = render_window(mesh, pose, sonar, problem.window, sub_beams, ELEVATIONS)
-    return semantic_image(*(labelled(v, problem.sharpness) for v in (layers.highlight, layers.shadow))) - BACKGROUND
+    pose = pose_at(subject.start, step)
+    views = _views(subject, pose)
+
+    def seen(view: Any) -> Array:
+        vertices, faces, lift, height, aperture = view
+        placed = replace(subject.mesh, vertices=vertices, faces=faces)
+        lifted = subject.sonar.replace(height=height, elevation_aperture=aperture)
+        return jnp.stack(render_echo(placed, Pose(z=lift), lifted, subject.window, subject.quality, subject.views > 1))
+
+    # One view after the other, so that the renderer is compiled once.
+    if reverse:
+        layers = jax.lax.map(seen, views)
+    else:
+        nothing = jnp.zeros((2, 3, *subject.window.shape))
+        layers = jax.lax.fori_loop(
+            0, subject.views, lambda k, done: done.at[k].set(seen(jax.tree.map(lambda v: v[k], views))), nothing
+        )
+    (echo, highlight, shadow), (bounced, *_) = layers
+    grey = semantic_image(*(labelled(v, subject.sharpness) for v in (highlight, shadow))) - BACKGROUND
+    return jnp.where(subject.views > 1, _stored_echo(subject, echo + step[3] * bounced, shadow), grey)
 
 
 def draw_with_slope(
-    problem: Problem, mesh: Mesh, sonar: Sonar, step: Float[Array, "step"], sub_beams: int, template: str
+    subject: Subject, step: Float[Array, "step"]
 ) -> tuple[Float[Array, "range beam"], Float[Array, "step range beam"]]:
     """`draw` and its derivatives by each number of `step` (forward mode)."""
 
     def draw_at(step: Array) -> Array:
-        return draw(problem, mesh, sonar, step, sub_beams, template)
+        return draw(subject, step)
 
     return jax.vmap(lambda along: jax.jvp(draw_at, (step,), (along,)), out_axes=(None, 0))(jnp.eye(len(step)))
 
 
-def _echo(mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, sub_beams: int, bounce: Array) -> Array:
-    """What a nominal device stores of the object, its bounce on the floor and its shadow (range, beam)."""
+def _views(subject: Subject, pose: Pose) -> tuple[Array, ...]:
+    """The object as it stands, and mirrored in the floor: vertices, faces, lift [m], sonar height [m] and aperture."""
+    mesh, sonar = subject.mesh, subject.sonar
     mirrored, lift, lifted = without_floor(bounce_mesh(mesh, pose, sonar, 0.0, DEVICE.floor_path), sonar)
-    direct_view = pose.to_ground(mesh.vertices), mesh.faces, jnp.zeros(()), sonar.height, sonar.elevation_aperture
-    bounced_view = mirrored.vertices, mirrored.faces, lift.z, lifted.height, lifted.elevation_aperture
+    as_it_is = pose.to_ground(mesh.vertices), mesh.faces, 0.0, sonar.height, sonar.elevation_aperture
+    bounced = mirrored.vertices, mirrored.faces, lift.z, lifted.height, lifted.elevation_aperture
+    # The mirror image's own shadow is not looked at.
+    return tuple(jnp.stack([jnp.asarray(v) for v in pair]) for pair in zip(as_it_is, bounced, strict=True))
 
-    def seen(view: tuple[Array, ...]) -> tuple[Array, Array]:
-        vertices, faces, lift, height, aperture = view
-        placed = replace(mesh, vertices=vertices, faces=faces)
-        turned = sonar.replace(height=height, elevation_aperture=aperture)
-        return render_echo(placed, Pose(z=lift), turned, window, sub_beams, ELEVATIONS)
 
-    # One after the other, so that the renderer is compiled once; the mirror image's shadow is not looked at.
-    views = (jnp.stack([jnp.asarray(v) for v in pair]) for pair in zip(direct_view, bounced_view, strict=True))
-    (direct, bounced), (shadow, _) = jax.lax.map(seen, tuple(views))
+def _stored_echo(subject: Subject, echo: Array, shadow: Array) -> Array:
+    """What a nominal device stores of an echo [rad] over the floor outside the shadow (range, beam)."""
+    window, sonar = subject.window, subject.sonar
     ranges = jax.lax.dynamic_slice(range_middles(sonar), (window.row,), window.shape[:1])
-    energy = OBJECT_GAIN * (direct + bounce * bounced) / floor_angle(ranges, sonar)[:, None]
+    energy = OBJECT_GAIN * echo / floor_angle(ranges, sonar)[:, None]
     return _stored(energy + 1 - shadow) - _stored(1.0)
 
 

@@ -2,54 +2,55 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
-from sonarjax._cores import SINGLE_CORE, on_all_cores
+from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.render.frame import semantic_image
-from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS, image_azimuth, object_columns, place_window, window_shape
-from sonarjax.render.window import Window, render_window
+from sonarjax.records import record
+from sonarjax.render.frame import RenderQuality
+from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS, WindowSize, image_azimuth, place_window, plan_window
+from sonarjax.render.simulate import with_enough_room
+from sonarjax.render.window import render_window
 from sonarjax.scene import Mesh, Pose
 from sonarjax.sonar import Sonar
 
+BANK_QUALITY = RenderQuality(sub_beams=1)
 VIEWS = 9  # rendered by one call of the compiled function
 TOUCHED = 0.01  # a pixel belongs to the object when its semantic value is this far from the background's
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@record
 class TemplateBank:
     """Templates of one object at one place, for a list of yaws."""
 
-    templates: Float[Array, "yaw h w"]
+    templates: Float[Array, "*batch yaw h w"]
     """Semantic images (yaw, range, beam), all cropped to the same box."""
-    yaws: Float[Array, "yaw"]
+    yaws: Float[Array, "*batch yaw"]
     """Absolute yaw of each template at the bank's place [rad]."""
-    offset: tuple[int, int] = field(default=(0, 0), metadata={"static": True})
+    offset: Int[Array, "*batch 2"]
     """Row and column of the box's first pixel in the frame."""
-    x: float = field(default=0.0, metadata={"static": True})
+    x: Float[Array, "*batch"]
     """Forward position of the object [m]."""
-    y: float = field(default=0.0, metadata={"static": True})
+    y: Float[Array, "*batch"]
     """Position to port of the object [m]."""
-    tilt: float = field(default=0.0, metadata={"static": True})
+    tilt: Float[Array, "*batch"]
     """Tilt of the sonar it was rendered for [rad]."""
 
     @property
-    def bearing(self) -> float:
+    def bearing(self) -> Float[Array, "*batch"]:
         """Bearing of the object from the sonar [rad]."""
-        return float(np.arctan2(self.y, self.x))
+        return jnp.arctan2(self.y, self.x)
 
     @property
-    def ground_range(self) -> float:
+    def ground_range(self) -> Float[Array, "*batch"]:
         """Horizontal distance of the object from the sonar [m]."""
-        return float(np.hypot(self.x, self.y))
+        return jnp.hypot(self.x, self.y)
 
 
 def template_bank(
@@ -59,62 +60,76 @@ def template_bank(
     *,
     x: float,
     y: float = 0.0,
-    sub_beams: int = 1,
-    elevations: int = 64,
+    quality: RenderQuality = BANK_QUALITY,
     margin: tuple[int, int] = (MARGIN_BINS, MARGIN_BEAMS),
-    shape: tuple[int, int] | None = None,
-    beams: int | None = None,
+    size: WindowSize | None = None,
+    engine: Engine = PLAIN,
 ) -> TemplateBank:
     """Render the object at (x, y) [m] at each of `yaws` (yaw,) [rad], cropped to one box with a `margin` (bins, beams).
 
-    Views are rendered one after another in a window around the object, so memory grows only with the templates;
-    `shape` (range, beam) [pixels] sets the window's size and `beams` how many of them the object itself may touch, so
-    that banks at several places share compiled code.
+    A host function. Views are rendered one after another in a window around the object, so memory grows only with the
+    templates; `size` is that window's, so that banks at several places share compiled code.
     Raises SonarjaxError when `yaws` is empty or not finite, or the object is outside the sonar's view.
     """
     yaws = np.atleast_1d(np.asarray(yaws, np.float32))
     if yaws.ndim != 1 or yaws.size == 0 or not np.isfinite(yaws).all():
         raise SonarjaxError(f"yaws: expected a non-empty list of finite angles [rad], got shape {yaws.shape}")
-    shape = shape or window_shape(mesh, sonar, float(np.hypot(x, y)))
-    row, column = (int(v) for v in _corner(mesh, sonar, x, y, shape))
-    settings = (shape, beams or object_columns(mesh, sonar, float(np.hypot(x, y))), sub_beams, elevations)
-    views = on_all_cores(lambda part: _render_views(mesh, sonar, part, x, y, (row, column), *settings), yaws, VIEWS)
-    images = np.asarray(views)
+    size = size or plan_window(mesh, sonar, float(np.hypot(x, y)))
+    place = np.float32(x), np.float32(y)
+    views = _all_views(mesh, sonar, yaws, place, size, quality, engine)
+    images, (row, column) = views.images, views.corner
     box = _touched_box(images)
     if box is None:
         raise SonarjaxError(f"template bank: an object at x {x:.2f} m, y {y:.2f} m is outside the sonar's view")
     first, last = box
     top, left = max(first[0] - margin[0], 0), max(first[1] - margin[1], 0)
-    bottom, right = min(last[0] + margin[0], shape[0] - 1), min(last[1] + margin[1], shape[1] - 1)
+    bottom, right = min(last[0] + margin[0], size.shape[0] - 1), min(last[1] + margin[1], size.shape[1] - 1)
     crop = jnp.asarray(images[:, top : bottom + 1, left : right + 1])
-    return TemplateBank(crop, jnp.asarray(yaws), (row + top, column + left), float(x), float(y), float(sonar.tilt))
+    offset = jnp.asarray(np.array([row + top, column + left], np.int32))
+    return TemplateBank(crop, jnp.asarray(yaws), offset, *(jnp.float32(v) for v in (x, y, float(sonar.tilt))))
 
 
-@partial(jax.jit, static_argnames="shape")
-def _corner(mesh: Mesh, sonar: Sonar, x: Any, y: Any, shape: tuple[int, int]) -> tuple[Any, Any]:
-    window = place_window(shape, mesh, sonar, x, y)
-    return window.row, window.column
+class _Views(NamedTuple):
+    """All views of a bank, on the host or as they come from the compiled function."""
+
+    images: Any
+    """Semantic images (yaw, range, beam) of one window."""
+    corner: Any
+    """Row and column of the window's first pixel."""
+    overflow: Any
+    """As in `SonarFrame`, the largest of all views."""
 
 
-@partial(jax.jit, static_argnames=("shape", "beams", "sub_beams", "elevations"), compiler_options=SINGLE_CORE)
+def _all_views(
+    mesh: Mesh, sonar: Sonar, yaws: np.ndarray, place: Any, size: WindowSize, quality: RenderQuality, engine: Engine
+) -> _Views:
+    """The views in parts of VIEWS, so that banks of any length share compiled code; the last part repeats its last."""
+    parts = -(-len(yaws) // VIEWS)
+    padded = np.concatenate([yaws, np.full(parts * VIEWS - len(yaws), yaws[-1])]).reshape(parts, VIEWS)
+
+    def render_part(mesh: Mesh) -> _Views:
+        found = engine.map(
+            lambda part: engine.run(_render_views, mesh, sonar, part, *place, size=size, quality=quality), padded
+        )
+        images = np.concatenate([np.asarray(part.images) for part in found])[: len(yaws)]
+        row, column = (int(v) for v in found[0].corner)
+        return _Views(images, (row, column), np.max([part.overflow for part in found]))
+
+    return with_enough_room(render_part, mesh)
+
+
+@partial(jax.jit, static_argnames=("size", "quality"))
 def _render_views(
-    mesh: Mesh, sonar: Sonar, yaws: Any, x: Any, y: Any, corner: Any,
-    shape: tuple[int, int], beams: int, sub_beams: int, elevations: int,
-) -> Float[Array, "yaw range beam"]:  # fmt: skip
-    window = Window(corner[0], corner[1], shape, beams)
+    mesh: Mesh, sonar: Sonar, yaws: Array, x: Any, y: Any, *, size: WindowSize, quality: RenderQuality
+) -> _Views:
+    window = place_window(size, mesh, sonar, x, y)
 
-    def one(yaw: Array) -> Array:
-        return semantic_window(mesh, Pose(x, y, yaw), sonar, window, sub_beams, elevations)
+    def one(yaw: Array) -> tuple[Array, Array]:
+        frame = render_window(mesh, Pose(x, y, yaw), sonar, window, quality)
+        return frame.semantic(), frame.overflow
 
-    return jax.lax.map(one, jnp.asarray(yaws))
-
-
-def semantic_window(
-    mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, sub_beams: int, elevations: int
-) -> Float[Array, "range beam"]:
-    """The semantic image (range, beam) of one window of the frame; differentiable like `render`."""
-    layers = render_window(mesh, pose, sonar, window, sub_beams, elevations)
-    return semantic_image(layers.highlight, layers.shadow)
+    images, overflow = jax.lax.map(one, jnp.asarray(yaws))
+    return _Views(images, (window.row, window.column), overflow.max())
 
 
 def _touched_box(images: np.ndarray) -> tuple[tuple[int, int], tuple[int, int]] | None:

@@ -10,7 +10,7 @@ SHARED_LIMIT = 24  # up to this many triangles that look at the sonar, all slice
 DENSE_LIMIT = 256  # up to this many triangles, every (slice, triangle) pair is tested
 
 
-def front_faces(vertices: Float[Array, "vertex 3"], faces: Int[Array, "face 3"], closed: bool) -> Bool[Array, "face"]:
+def front_faces(vertices: Float[Array, "vertex 3"], faces: Int[Array, "face 3"], closed: Bool[Array, ""]) -> Bool[Array, "face"]:
     """Triangles (face,) that can be seen from the sonar head: of a closed surface those that look at it, else all.
 
     Vertices (vertex, 3) [m] are in the sonar frame. Padding (zero-area) triangles are never seen.
@@ -18,7 +18,7 @@ def front_faces(vertices: Float[Array, "vertex 3"], faces: Int[Array, "face 3"],
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     facing = (jnp.cross(b - a, c - a) * a).sum(-1)
     real = (faces[:, 0] != faces[:, 1]) & ((a[:, 0] > 0) | (b[:, 0] > 0) | (c[:, 0] > 0))
-    return real & ((facing < 0) if closed else (jnp.abs(facing) > 0))
+    return real & ((facing < 0) | (~closed & (facing > 0)))
 
 
 def candidates(
@@ -28,16 +28,19 @@ def candidates(
     azimuth: Float[Array, "slab"],
     crossings: int,
     front: int,
-) -> Int[Array, "slab_or_1 candidate"]:
+) -> tuple[Int[Array, "slab_or_1 candidate"], Int[Array, ""]]:
     """Triangle ids (slab, candidate) that the half-plane at each `azimuth` [rad] may cut; -1 fills what is left over.
 
-    `crossings` and `front` are the mesh's upper bounds. Where few triangles look at the sonar at all, one list (1,
+    And how many triangles the fullest slice had no room for.
+
+    `crossings` and `front` are the mesh's capacities. Where few triangles look at the sonar at all, one list (1,
     front) of them serves every slab. Vertices (vertex, 3) [m] are in the sonar frame.
     """
     if front <= max(SHARED_LIMIT, crossings):
-        return _compacted(seen[None], front)
+        return _compacted(seen[None], front), _excess(seen[None], front)
     if len(faces) <= DENSE_LIMIT:
-        return _compacted(seen & _cut(vertices, faces, azimuth), crossings)
+        wanted = seen & _cut(vertices, faces, azimuth)
+        return _compacted(wanted, crossings), _excess(wanted, crossings)
     return _sparse(vertices, faces, seen, azimuth, crossings)
 
 
@@ -48,6 +51,11 @@ def _cut(vertices: Array, faces: Array, azimuth: Array) -> Bool[Array, "slab fac
     return (first != second) | (second != third)
 
 
+def _excess(wanted: Bool[Array, "slab face"], limit: int) -> Int[Array, ""]:
+    """By how many the fullest slice exceeds the `limit`; 0 where all have room."""
+    return jnp.maximum(wanted.sum(axis=1).max() - limit, 0).astype(jnp.int32)
+
+
 def _compacted(wanted: Bool[Array, "slab face"], limit: int) -> Int[Array, "slab candidate"]:
     """Numbers of the wanted faces, in order."""
     rank = jnp.cumsum(wanted, axis=1) - 1
@@ -55,7 +63,7 @@ def _compacted(wanted: Bool[Array, "slab face"], limit: int) -> Int[Array, "slab
     return (slot * jnp.arange(1, wanted.shape[1] + 1)).sum(-1) - 1
 
 
-def _sparse(vertices: Array, faces: Array, seen: Array, azimuth: Array, limit: int) -> Array:
+def _sparse(vertices: Array, faces: Array, seen: Array, azimuth: Array, limit: int) -> tuple[Array, Array]:
     """Each triangle is cut by a run of neighbouring slices; most small ones by none, and those cost nothing more."""
     ahead = jnp.searchsorted(azimuth, jnp.arctan2(vertices[:, 1], vertices[:, 0])).astype(jnp.int32)
     a, b, c = (ahead[faces[:, k]] for k in range(3))
@@ -70,4 +78,7 @@ def _sparse(vertices: Array, faces: Array, seen: Array, azimuth: Array, limit: i
     slab, owner = jax.lax.sort((slab, owner), num_keys=1)
     rank = jnp.arange(pairs) - jnp.searchsorted(slab, slab, side="left")
     table = jnp.full((len(azimuth), limit), -1, jnp.int32)
-    return table.at[slab, rank].set(owner, mode="drop")
+    crowded = jnp.where(slab < len(azimuth), rank + 1 - limit, 0).max()
+    left_over = -(-2 * (ends[-1] - pairs) // max(len(azimuth), 1))  # pairs beyond the list, as room a slice
+    overflow = jnp.maximum(jnp.maximum(crowded, left_over), 0).astype(jnp.int32)
+    return table.at[slab, rank].set(owner, mode="drop"), overflow

@@ -94,7 +94,7 @@ def find_outline(
     lit: Bool[Array, "slab piece"],
     items: tuple[int, int],
     sampled: bool,
-    by_facet: bool = False,
+    by_facet: Bool[Array, ""] | bool = False,
 ) -> Outline:
     """Chains of visible pieces; `table` holds the candidates' triangle ids, `lit` the pieces that give highlight.
 
@@ -110,10 +110,10 @@ def find_outline(
     same_range = jnp.abs(_previous(end) - start) < GAP * start + jnp.maximum(slope, _previous(slope))
     shown = solid & lit
     goes_on = _previous(shown) & same_range
-    if by_facet:
+    if by_facet is not False:
         normal = _normal(line)
         before = jnp.pad(normal[:, :-1], ((0, 0), (1, 0), (0, 0)))
-        goes_on &= (normal * before).sum(-1) > SMOOTH_COSINE
+        goes_on &= ((normal * before).sum(-1) > SMOOTH_COSINE) | ~jnp.asarray(by_facet)
     run = _chain(shown, shown & ~goes_on, items[0])
     stretch = _chain(solid, solid & ~_previous(solid), items[1])
     foot_tau = line[..., 1] / jnp.maximum(line[..., 0], 1e-9)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
-from sonarjax.render.window import Window
+from sonarjax.render.frame import Window
 from sonarjax.scene import Mesh
 from sonarjax.sonar import Sonar
 
@@ -20,12 +21,32 @@ ROW_STEP, COLUMN_STEP, OBJECT_STEP = (
 )  # window sizes are rounded up to these, so that neighbours share compiled code
 
 
+@dataclass(frozen=True)
+class WindowSize:
+    """Size of a window, planned on the host: hashable, so that it may be static under `jax.jit`."""
+
+    shape: tuple[int, int]
+    """Number of (range, beam) pixels."""
+    object_columns: int | None = None
+    """Upper bound of the beams that the object itself touches; None for all."""
+
+
+def plan_window(mesh: Mesh, sonar: Sonar, ground_range: float, slack: float = 0.0) -> WindowSize:
+    """The size of a window for an object at `ground_range` [m], give or take `slack` [m].
+
+    A host function: `mesh` and `sonar` must hold concrete numbers.
+    """
+    return WindowSize(
+        window_shape(mesh, sonar, ground_range, slack), object_columns(mesh, sonar, ground_range, slack)
+    )
+
+
 def window_shape(mesh: Mesh, sonar: Sonar, ground_range: float, slack: float = 0.0) -> tuple[int, int]:
     """Pixels (range, beam) that hold the object and its shadow at `ground_range` [m], `slack` [m] around it included.
 
     `sonar` must hold concrete numbers. Never more than the whole frame.
     """
-    reach = mesh.radius + slack
+    reach = float(mesh.radius) + slack
     near, far = _slant_extent(mesh, sonar, ground_range, slack)
     rows = math.ceil((far - near) / float(sonar.range_bin)) + 2 * MARGIN_BINS + 4
     columns = math.ceil(_azimuth_width(mesh, sonar, ground_range, reach) / _spacing(sonar)) + 2 * MARGIN_BEAMS + 2
@@ -38,7 +59,7 @@ def object_columns(mesh: Mesh, sonar: Sonar, ground_range: float, slack: float =
 
     `sonar` must hold concrete numbers.
     """
-    width = _azimuth_width(mesh, sonar, ground_range, mesh.radius + slack)
+    width = _azimuth_width(mesh, sonar, ground_range, float(mesh.radius) + slack)
     columns = math.ceil(width / _spacing(sonar)) + 2
     return min(-(-columns // OBJECT_STEP) * OBJECT_STEP, sonar.n_beams)
 
@@ -52,7 +73,7 @@ def _azimuth_width(mesh: Mesh, sonar: Sonar, ground_range: float, reach: float) 
     """Twice the largest image azimuth [rad], off its middle, of a cylinder of radius `reach` [m] around the object."""
     around = np.linspace(0, 2 * math.pi, 65)
     x, y = ground_range + reach * np.cos(around), reach * np.sin(around)
-    tilt, heights = float(sonar.tilt), np.array([[0.0], [max(mesh.top, 0.0)]])
+    tilt, heights = float(sonar.tilt), np.array([[0.0], [max(float(mesh.top), 0.0)]])
     forward = math.cos(tilt) * x + math.sin(tilt) * (float(sonar.height) - heights)
     if (forward <= 0).any():
         return math.pi
@@ -60,17 +81,18 @@ def _azimuth_width(mesh: Mesh, sonar: Sonar, ground_range: float, reach: float) 
 
 
 def _slant_extent(mesh: Mesh, sonar: Sonar, ground_range: float, slack: float) -> tuple[float, float]:
-    height, reach = float(sonar.height), mesh.radius + slack
+    height, reach, top = float(sonar.height), float(mesh.radius) + slack, float(mesh.top)
     near_ground = max(ground_range - reach, 0.0)
-    near = math.hypot(near_ground, max(height - mesh.top, 0.0))
-    if mesh.top >= height * 0.95:
+    near = math.hypot(near_ground, max(height - top, 0.0))
+    if top >= height * 0.95:
         return near, float(sonar.range_max)
-    shadow_end = (ground_range + reach) * height / (height - max(mesh.top, 0.0))
+    shadow_end = (ground_range + reach) * height / (height - max(top, 0.0))
     return near, min(math.hypot(shadow_end, height), float(sonar.range_max))
 
 
-def place_window(shape: tuple[int, int], mesh: Mesh, sonar: Sonar, x: Any, y: Any, slack: float = 0.0) -> Window:
-    """The window of `shape` around an object at (x, y) [m], moved inside the frame; x and y may be traced."""
+def place_window(size: WindowSize, mesh: Mesh, sonar: Sonar, x: Any, y: Any, slack: float = 0.0) -> Window:
+    """The window of a planned `size` around an object at (x, y) [m], moved inside the frame; x and y may be traced."""
+    shape = size.shape
     x, y, height = (jnp.asarray(v, jnp.float32) for v in (x, y, sonar.height))
     ground = jnp.hypot(x, y)
     near = jnp.hypot(jnp.maximum(ground - mesh.radius - slack, 0.0), jnp.maximum(height - mesh.top, 0.0))
@@ -78,7 +100,7 @@ def place_window(shape: tuple[int, int], mesh: Mesh, sonar: Sonar, x: Any, y: An
     bearing = image_azimuth(x, y, sonar)
     column = jnp.searchsorted(jnp.asarray(sonar.azimuth), bearing).astype(jnp.int32) - shape[1] // 2
     row = jnp.clip(row, 0, sonar.n_ranges - shape[0])
-    return Window(row, jnp.clip(column, 0, sonar.n_beams - shape[1]), shape)
+    return Window(row, jnp.clip(column, 0, sonar.n_beams - shape[1]), shape, size.object_columns)
 
 
 def image_azimuth(x: Any, y: Any, sonar: Sonar) -> Any:

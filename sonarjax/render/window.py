@@ -17,6 +17,7 @@ from sonarjax.render.candidates import candidates, front_faces
 from sonarjax.render.energy import floor_energy, floor_lit, object_energy
 from sonarjax.render.envelope import Pieces, is_sampled, visible_pieces
 from sonarjax.render.footprint import covered, spread
+from sonarjax.render.frame import RenderQuality, SonarFrame, Window
 from sonarjax.render.patch import patch_lit, patch_span
 from sonarjax.render.profile import (
     Outline,
@@ -40,32 +41,6 @@ from sonarjax.sonar import Sonar
 STEEPEST = 2.0  # slope in range per arc length [1] up to which a facet stands for its neighbours in the slab
 
 
-class Window(NamedTuple):
-    """A part of the image: `shape` (range, beam) pixels whose first one is (`row`, `column`)."""
-
-    row: Int[Array, ""] | int
-    """First range bin."""
-    column: Int[Array, ""] | int
-    """First beam."""
-    shape: tuple[int, int]
-    """Number of (range, beam) pixels."""
-    object_columns: int | None = None
-    """Upper bound of the beams that the object itself touches; None for all. Only they are looked at."""
-
-
-class Layers(NamedTuple):
-    """What is rendered, each (range, beam)."""
-
-    intensity: Float[Array, "range beam"]
-    """Energy of first hits per range bin, objects and floor [rad/m²]."""
-    highlight: Float[Array, "range beam"]
-    """Share of the pixel's range cell covered by first hits of the object, 0 to 1."""
-    shadow: Float[Array, "range beam"]
-    """Share of the pixel's floor hidden behind the object, 0 to 1."""
-    lit: Bool[Array, "range beam"]
-    """True where the floor is insonified, or the object is seen."""
-
-
 class Visible(NamedTuple):
     """The visible profile of every slab; no part of it carries a gradient."""
 
@@ -77,6 +52,8 @@ class Visible(NamedTuple):
     """Triangle that each candidate is, or -1."""
     outline: Outline
     """Runs of the object and stretches of hidden floor."""
+    overflow: Int[Array, ""]
+    """Triangles for which the fullest slice had no room."""
 
 
 def in_sonar_frame(mesh: Mesh, pose: Pose, sonar: Sonar) -> Scene:
@@ -90,14 +67,14 @@ def in_sonar_frame(mesh: Mesh, pose: Pose, sonar: Sonar) -> Scene:
 
 
 def find_visible(
-    mesh: Mesh, scene: Scene, slabs: Slabs, sonar: Sonar, elevations: int, by_facet: bool = False
+    mesh: Mesh, scene: Scene, slabs: Slabs, sonar: Sonar, elevations: int, by_facet: Bool[Array, ""] | bool = False
 ) -> Visible:
-    """The visible profile in the middle of each slab (all of it without a gradient)."""
+    """The visible profile in the middle of each slab (all of it without a gradient); `by_facet` as in `find_outline`."""
     fixed = stop_gradient(scene)
     azimuth = stop_gradient(slabs.middle)
     seen = front_faces(fixed.vertices, fixed.faces, mesh.closed)
     # The barriers keep XLA from fusing a stage into each of its uses, which costs compile time and run time alike.
-    table = candidates(fixed.vertices, fixed.faces, seen, azimuth, mesh.crossings, mesh.front)
+    table, overflow = candidates(fixed.vertices, fixed.faces, seen, azimuth, mesh.crossings, mesh.front)
     table = jnp.broadcast_to(table, (len(azimuth), table.shape[1]))
 
     def cut_slabs(azimuth: Array, table: Array) -> Segments:
@@ -109,20 +86,21 @@ def find_visible(
         if sonar.highlight_max_incidence < 90.0:
             cosine = incidence_cosine(pieces, segments, corners_of(fixed, table), azimuth)
             lit = lit_pieces(cosine, sonar.highlight_max_incidence)
-        items = max_items(mesh.crossings, by_facet)
+        items = max_items(mesh.crossings, by_facet is not False)
         return find_outline(pieces, segments, table, lit, items, is_sampled(segments), by_facet)
 
     segments = computed_once(cut_slabs, azimuth, table)
-    pieces = visible_pieces(segments, mesh.crossing, elevations)
+    pieces = visible_pieces(segments, mesh.intersecting, elevations)
     outline = computed_once(outline_of, pieces, segments, table, azimuth)
-    return Visible(pieces, segments, table, outline)
+    return Visible(pieces, segments, table, outline, overflow)
 
 
-def render_window(mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, sub_beams: int, elevations: int) -> Layers:
+def render_window(mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, quality: RenderQuality) -> SonarFrame:
     """Render one window of the image; layers that are not used cost nothing under `jax.jit`."""
+    elevations = quality.elevations
     rows, columns = window.shape
     scene = in_sonar_frame(mesh, pose, sonar)
-    slabs = _slabs_of(mesh, scene, sonar, window, sub_beams)
+    slabs = _slabs_of(mesh, scene, sonar, window, quality.sub_beams)
     visible = find_visible(mesh, scene, slabs, sonar, elevations)
     edges, azimuth = _edges_of(sonar, window), _columns(jnp.asarray(sonar.azimuth), window.column, columns)
     runs, stretches = _swept_ends(visible.outline, slabs, scene, sonar, edges)
@@ -133,28 +111,43 @@ def render_window(mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, sub_beam
     floor = patch_lit(azimuth, scene, sonar, edges)
     bare = floor_energy(azimuth, scene, sonar, edges) * floor
     lit = (floor_lit(azimuth, scene, edges) & floor) | (highlight > 0.5)
-    return Layers(jnp.maximum(echo, 0.0) + bare * jnp.maximum(1 - shadow, 0.0), highlight, shadow, lit)
+    intensity = jnp.maximum(echo, 0.0) + bare * jnp.maximum(1 - shadow, 0.0)
+    return SonarFrame(intensity, highlight, shadow, lit, visible.overflow, sonar)
+
+
+class EchoLayers(NamedTuple):
+    """What an object's facets send back, each (range, beam)."""
+
+    echo: Float[Array, "range beam"]
+    """Elevation [rad] that first hits of the object fill."""
+    highlight: Float[Array, "range beam"]
+    """As in `SonarFrame`; by facet, each shows at least a pulse."""
+    shadow: Float[Array, "range beam"]
+    """As in `SonarFrame`."""
 
 
 def render_echo(
-    mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, sub_beams: int, elevations: int
-) -> tuple[Float[Array, "range beam"], Float[Array, "range beam"]]:
-    """Elevation [rad] that an object's first hits fill in each pixel of a window, and its shadow: both (range, beam).
+    mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, quality: RenderQuality, by_facet: Bool[Array, ""] | bool = True
+) -> EchoLayers:
+    """The object's echo facet by facet, its highlight and its shadow in a window of the image.
 
-    Times the spreading that eq. 2 has for each range this is the object's energy as `render_window` has it, at the cost
-    of its highlight: a facet's elevation is spread evenly over the ranges that it shows in a slab. How much elevation
-    that is carries no gradient, only where it falls, and does not depend on incidence (`sonar.lambert` plays no part).
+    The elevation that first hits fill, times the spreading that eq. 2 has for each range, is the object's energy as
+    `render_window` has it, at the cost of its highlight: a facet's elevation is spread evenly over the ranges that it
+    shows in a slab. How much elevation that is carries no gradient, only where it falls, and does not depend on
+    incidence (`sonar.lambert` plays no part). Where `by_facet` is false, a smooth chain of facets is one: the highlight
+    is then `render_window`'s, and the echo is even over the chain.
     """
     rows = window.shape[0]
     scene = in_sonar_frame(mesh, pose, sonar)
-    slabs = _slabs_of(mesh, scene, sonar, window, sub_beams)
-    outline = find_visible(mesh, scene, slabs, sonar, elevations, by_facet=True).outline
+    slabs = _slabs_of(mesh, scene, sonar, window, quality.sub_beams)
+    outline = find_visible(mesh, scene, slabs, sonar, quality.elevations, jnp.asarray(by_facet)).outline
     runs, stretches = _swept_ends(outline, slabs, scene, sonar, _edges_of(sonar, window))
     shown = _pulsed(*runs, sonar)
     length = stop_gradient(shown[0][:, 1] - shown[0][:, 0])
     density = jnp.where(outline.runs, outline.angle / jnp.maximum(length, 1.0), 0.0)
     echo = jnp.maximum(_per_beam(slabs, spread(*shown, density, rows)), 0.0)
-    return echo, _per_beam(slabs, covered(*stretches, outline.stretches, rows))
+    highlight = _per_beam(slabs, covered(*shown, outline.runs, rows))
+    return EchoLayers(echo, highlight, _per_beam(slabs, covered(*stretches, outline.stretches, rows)))
 
 
 def _slabs_of(mesh: Mesh, scene: Scene, sonar: Sonar, window: Window, sub_beams: int) -> Slabs:

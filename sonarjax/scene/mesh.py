@@ -7,7 +7,8 @@ must know about a mesh before it compiles (how many triangles a slice can cross)
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +16,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import trimesh
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.records import record, static
 from sonarjax.scene.slicing import has_crossing_triangles, most_crossings, most_front
 
 LARGEST_EXTENT_M = 100.0  # an object longer than this is taken for one drawn in millimetres
@@ -26,32 +28,32 @@ MAX_CREASE_VERTICES = 64
 CHECKED_FACES = 1000  # larger meshes are taken to pass through themselves: to check them takes seconds
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@record
 class Mesh:
-    """A triangle surface in its own frame [m]; a pytree whose only float leaf is `vertices`.
+    """A triangle surface in its own frame [m]; a pytree whose differentiable leaf is `vertices`.
 
-    Build it with `Mesh.load`, `Mesh.from_arrays` or the functions of `sonarjax.scene.objects`.
+    Build it with `Mesh.load`, `Mesh.from_arrays` or the functions of `sonarjax.scene.objects`; `stack_meshes` makes a
+    batch for `jax.vmap`. Only counts are static: two meshes of one padded size and capacity share compiled code.
     """
 
-    vertices: Float[Array, "vertex 3"]
+    vertices: Float[Array, "*batch vertex 3"]
     """Vertex positions [m]; padding repeats the first vertex."""
-    faces: Int[Array, "face 3"]
+    faces: Int[Array, "*batch face 3"]
     """Vertex indices of each triangle, counter-clockwise from outside; padding is (0, 0, 0)."""
-    crease: Int[Array, "event"]
+    crease: Int[Array, "*batch event"]
     """Vertices at sharp edges: the azimuths at which a slice's profile may jump."""
-    closed: bool = field(default=False, metadata={"static": True})
+    closed: Bool[Array, "*batch"]
     """True when the surface encloses a volume: faces that look away from the sonar are then never seen."""
-    crossings: int = field(default=0, metadata={"static": True})
-    """Upper bound of the triangles that one vertical slice crosses (front faces only where `closed`)."""
-    front: int = field(default=0, metadata={"static": True})
-    """Upper bound of the triangles that look at the sonar at once (all of them unless `closed`)."""
-    crossing: bool = field(default=True, metadata={"static": True})
-    """False when no two triangles pass through each other: slices then hold half as many pieces."""
-    radius: float = field(default=0.0, metadata={"static": True})
+    radius: Float[Array, "*batch"]
     """Largest horizontal distance of a vertex from the mesh origin [m], rounded up: sizes the render window."""
-    top: float = field(default=0.0, metadata={"static": True})
+    top: Float[Array, "*batch"]
     """Largest height of a vertex above the mesh origin [m], rounded up."""
+    crossings: int = static(default=0)
+    """Room for the triangles that one vertical slice crosses (front faces only where `closed`)."""
+    front: int = static(default=0)
+    """Room for the triangles that look at the sonar at once (all of them unless `closed`)."""
+    intersecting: bool = static(default=True)
+    """False when no two triangles pass through each other: slices then hold half as many visible intervals."""
 
     @classmethod
     def load(cls, path: str | Path, unit_m: float | None = None) -> Mesh:
@@ -94,16 +96,64 @@ class Mesh:
         return _padded(surface, closed)
 
     def with_vertices(self, vertices: Float[Array, "vertex 3"]) -> Mesh:
-        """The same mesh with other vertex positions (vertex, 3) [m] (to differentiate a shape).
+        """The same triangles with other vertex positions (vertex, 3) [m], to deform or differentiate a shape.
 
-        `crossings`, `front`, `radius` and `top` are kept: for another shape altogether use `from_arrays`.
+        The gradient by a shape is `jax.grad(lambda v: loss(mesh.with_vertices(v)))(mesh.vertices)`. What slices may
+        meet is measured again for concrete vertices, and kept for traced ones: `SonarFrame.overflow` says whether it
+        still holds. Raises SonarjaxError for another shape, or concrete values that are not finite.
         """
-        return replace(self, vertices=vertices)
+        if tuple(vertices.shape) != tuple(self.vertices.shape):
+            raise SonarjaxError(f"vertices: expected shape {self.vertices.shape}, got {tuple(vertices.shape)}")
+        if any(isinstance(v, jax.core.Tracer) for v in (vertices, *jax.tree.leaves(self))):
+            return replace(self, vertices=vertices)
+        positions, faces = np.asarray(vertices, np.float32), np.asarray(self.faces)
+        if not np.isfinite(positions).all():
+            raise SonarjaxError("vertices: hold NaN or infinite values")
+        real = faces[faces[:, 0] != faces[:, 1]]
+        return replace(self, vertices=jnp.asarray(positions), **_measured(positions, real, bool(self.closed)))
+
+    def with_room(self, crossings: int, front: int) -> Mesh:
+        """The same mesh with room for so many triangles in a slice, and looking at the sonar; never less than now."""
+        most = self.n_faces
+        return replace(
+            self,
+            crossings=max(self.crossings, _rounded(min(crossings, most), most)),
+            front=max(self.front, _rounded(min(front, most), most)),
+        )
 
     @property
     def n_faces(self) -> int:
         """Number of triangles, padding included."""
-        return int(self.faces.shape[0])
+        return int(self.faces.shape[-2])
+
+
+def stack_meshes(meshes: Sequence[Mesh]) -> Mesh:
+    """Several meshes as one batch (mesh, ...) for `jax.vmap`, padded to common sizes and capacities.
+
+    Raises SonarjaxError when there is none.
+    """
+    if not meshes:
+        raise SonarjaxError("stack_meshes: expected at least one mesh")
+    vertices, faces, crease = (
+        max(getattr(m, name).shape[0] for m in meshes) for name in ("vertices", "faces", "crease")
+    )
+    alike = [
+        replace(
+            mesh,
+            vertices=_padded_to(mesh.vertices, vertices),
+            faces=jnp.pad(mesh.faces, ((0, faces - mesh.n_faces), (0, 0))),
+            crease=_padded_to(mesh.crease, crease),
+            crossings=max(m.crossings for m in meshes),
+            front=max(m.front for m in meshes),
+            intersecting=any(m.intersecting for m in meshes),
+        )
+        for mesh in meshes
+    ]
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *alike)
+
+
+def _padded_to(values: Array, size: int) -> Array:
+    return jnp.concatenate([values, jnp.repeat(values[:1], size - values.shape[0], axis=0)])
 
 
 _UNIT_M = {
@@ -161,18 +211,25 @@ def _padded(surface: trimesh.Trimesh, closed: bool) -> Mesh:
     vertices = np.asarray(surface.vertices, np.float32)
     faces = np.asarray(surface.faces, np.int32)
     crease = _crease_vertices(surface)
-    used = vertices[np.unique(faces)]
     return Mesh(
         vertices=jnp.asarray(_pad(vertices, _bucket(len(vertices)), vertices[:1])),
         faces=jnp.asarray(_pad(faces, _bucket(len(faces)), np.zeros((1, 3), np.int32))),
         crease=jnp.asarray(_pad(crease, min(_bucket(max(len(crease), 1)), MAX_CREASE_VERTICES), np.zeros(1, np.int32))),
-        closed=closed,
-        crossings=_rounded(most_crossings(vertices, faces, closed), len(faces)),
-        front=_rounded(most_front(vertices, faces) if closed else len(faces), len(faces)),
-        crossing=len(faces) > CHECKED_FACES or has_crossing_triangles(vertices, faces),
-        radius=_round_up(float(np.hypot(used[:, 0], used[:, 1]).max())),
-        top=_round_up(float(used[:, 2].max())),
+        closed=jnp.asarray(closed),
+        **_measured(vertices, faces, closed),
     )
+
+
+def _measured(vertices: np.ndarray, faces: np.ndarray, closed: bool) -> dict[str, Any]:
+    """What the renderer must know of a surface beforehand: its extent, and how many triangles slices may meet."""
+    used = vertices[np.unique(faces)]
+    return {
+        "radius": jnp.float32(_round_up(float(np.hypot(used[:, 0], used[:, 1]).max()))),
+        "top": jnp.float32(_round_up(float(used[:, 2].max()))),
+        "crossings": _rounded(most_crossings(vertices, faces, closed), len(faces)),
+        "front": _rounded(most_front(vertices, faces) if closed else len(faces), len(faces)),
+        "intersecting": len(faces) > CHECKED_FACES or has_crossing_triangles(vertices, faces),
+    }
 
 
 def _pad(values: np.ndarray, size: int, filler: np.ndarray) -> np.ndarray:

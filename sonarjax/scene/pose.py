@@ -1,43 +1,72 @@
-"""Where an object stands: position on the floor and rotation, as a pytree of floats."""
+"""Where an object stands: position on the floor and rotation, as a pytree of float32 leaves of one shape."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
-import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
+
+from sonarjax.records import record
 
 Scalar = Any  # a Python float, a NumPy scalar or a JAX array of any batch shape
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@record
 class Pose:
     """Pose of an object in the ground frame (x forward, y to port, z up; origin on the floor under the sonar).
 
-    Every field is a float or an array; a `Pose` whose fields all have shape (batch,) is a batch for `jax.vmap`.
+    The constructor broadcasts numbers and arrays to float32 fields of one shape `*batch`. A batch of poses is a batch
+    for `render`, and for `jax.vmap`: `jax.vmap(f)(Pose(x=xs, y=0.0, yaw=yaws))`.
     The rotation is yaw, then pitch, then roll about the object's own axes: R = Rz(yaw) Ry(pitch) Rx(roll).
     """
 
-    x: Scalar = 0.0
+    x: Float[Array, "*batch"]
     """Forward position of the mesh origin [m]."""
-    y: Scalar = 0.0
+    y: Float[Array, "*batch"]
     """Position to port of the mesh origin [m]."""
-    yaw: Scalar = 0.0
+    yaw: Float[Array, "*batch"]
     """Rotation about the vertical, counter-clockwise from above [rad]."""
-    z: Scalar = 0.0
+    z: Float[Array, "*batch"]
     """Height of the mesh origin above the floor [m]."""
-    roll: Scalar = 0.0
+    roll: Float[Array, "*batch"]
     """Rotation about the object's x axis [rad]."""
-    pitch: Scalar = 0.0
+    pitch: Float[Array, "*batch"]
     """Rotation about the object's y axis, positive nose down [rad]."""
 
+    def __init__(
+        self,
+        x: Scalar = 0.0,
+        y: Scalar = 0.0,
+        yaw: Scalar = 0.0,
+        z: Scalar = 0.0,
+        roll: Scalar = 0.0,
+        pitch: Scalar = 0.0,
+    ) -> None:
+        """Positions [m] and angles [rad] of any shapes that broadcast. Raises ValueError where they do not."""
+        numbers = [v if isinstance(v, jnp.ndarray) else np.asarray(v, np.float32) for v in (x, y, yaw, z, roll, pitch)]
+        shape = jnp.broadcast_shapes(*(v.shape for v in numbers))
+        for name, value in zip(("x", "y", "yaw", "z", "roll", "pitch"), numbers, strict=True):
+            object.__setattr__(self, name, _spread_out(value, shape))
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape `*batch` of every field."""
+        return tuple(self.x.shape)
+
     def to_ground(self, vertices: Float[Array, "vertex 3"]) -> Float[Array, "vertex 3"]:
-        """Vertices (vertex, 3) [m] of the mesh frame, moved to the ground frame [m]."""
+        """Vertices (vertex, 3) [m] of the mesh frame, moved to the ground frame [m]; for one pose."""
         rotation = rotation_z(self.yaw) @ rotation_y(self.pitch) @ rotation_x(self.roll)
-        return vertices @ rotation.T + jnp.stack([jnp.asarray(v, jnp.float32) for v in (self.x, self.y, self.z)])
+        return vertices @ rotation.T + jnp.stack([self.x, self.y, self.z])
+
+
+def _spread_out(value: Any, shape: tuple[int, ...]) -> Any:
+    """A field as float32 of `shape`; broadcasting host numbers on the host compiles nothing."""
+    if isinstance(value, np.ndarray):
+        return jnp.asarray(np.broadcast_to(value, shape))
+    value = value if value.dtype == jnp.float32 else value.astype(jnp.float32)
+    return value if value.shape == shape else jnp.broadcast_to(value, shape)
 
 
 def rotation_x(angle: Scalar) -> Float[Array, "3 3"]:

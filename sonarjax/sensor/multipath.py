@@ -13,12 +13,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sonarjax.render import SonarFrame, render
-from sonarjax.render.frame import place_together
+from sonarjax.render import RenderQuality, SonarFrame, render
+from sonarjax.render.simulate import place_together
 from sonarjax.scene import Mesh, Pose
 from sonarjax.sensor.model import SensorModel
 from sonarjax.sonar import Sonar
 
+BOUNCE_QUALITY = RenderQuality(sub_beams=1, elevations=32)
 WIDE_APERTURE = 2.4
 """Vertical aperture that the echoes of mirrors are rendered with [rad]: they reach the head from steep angles."""
 
@@ -54,8 +55,7 @@ def render_bounces(
     sonar: Sonar,
     model: SensorModel,
     *,
-    sub_beams: int = 1,
-    elevations: int = 32,
+    quality: RenderQuality = BOUNCE_QUALITY,
 ) -> SonarFrame:
     """Echoes (range, beam) that come by way of floor and surface, weakened by the model's bounce coefficients.
 
@@ -67,22 +67,22 @@ def render_bounces(
         mesh, pose = place_together(mesh, pose)
     assert isinstance(pose, Pose)
 
-    def echo(mirror: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+    def echo(mirror: tuple[Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
         plane, path, left = mirror
         mirrored = without_floor(bounce_mesh(mesh, pose, sonar, plane, path), sonar)
-        seen = render(*mirrored, sub_beams=sub_beams, elevations=elevations)
-        return left * seen.intensity, seen.highlight, seen.lit
+        seen = render(*mirrored, quality=quality)
+        return left * seen.intensity, seen.highlight, seen.lit, seen.overflow
 
-    def silence(mirror: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+    def silence(mirror: tuple[Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
         dark = jnp.zeros(sonar.shape)
-        return dark, dark, dark > 0
+        return dark, dark, dark > 0, jnp.zeros((), jnp.int32)
 
     floor = 0.0, model.floor_path, model.floor_bounce
     surface = model.water_depth, model.surface_path, model.surface_bounce
     mirrors = tuple(jnp.stack([jnp.asarray(v, jnp.float32) for v in pair]) for pair in zip(floor, surface, strict=True))
     # One after the other, so that the renderer is compiled once, and not at all where nothing comes back.
-    energy, share, lit = jax.lax.map(lambda m: jax.lax.cond(m[2] > 0, echo, silence, m), mirrors)
-    return SonarFrame(energy.sum(0), share.max(0), jnp.zeros(sonar.shape), lit.any(0))
+    energy, share, lit, overflow = jax.lax.map(lambda m: jax.lax.cond(m[2] > 0, echo, silence, m), mirrors)
+    return SonarFrame(energy.sum(0), share.max(0), jnp.zeros(sonar.shape), lit.any(0), overflow.max(), sonar)
 
 
 def without_floor(mesh: Mesh, sonar: Sonar) -> tuple[Mesh, Pose, Sonar]:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sonarjax._cores import quick_jit
-from sonarjax.render import SonarFrame, render
-from sonarjax.render.frame import place_together
+from sonarjax.render import RenderQuality, SonarFrame, render
+from sonarjax.render.simulate import place_together, with_enough_room
 from sonarjax.scene import Mesh, Pose
 from sonarjax.sensor.beams import beam_gains, beam_mixing, crosstalk_mixing, streaks
 from sonarjax.sensor.display import compress, quantise
@@ -45,7 +46,6 @@ from sonarjax.sonar import Sonar
 
 def observe(
     frame: SonarFrame,
-    sonar: Sonar,
     model: SensorModel,
     *,
     key: jax.Array,
@@ -53,13 +53,15 @@ def observe(
 ) -> Float[Array, "range beam"]:
     """The grey image (range, beam) in [0, 1], of 256 values, that a device makes of a `frame`.
 
-    The frame is one of `with_skirts(sonar)`, or the vertical pattern ends sharply at the aperture. `bounces` are the
+    Where the frame was rendered with the sonar's own aperture, the vertical pattern ends sharply there; `observe_scene`
+    renders beyond it. `bounces` are the
     echoes of `render_bounces`. Works under jit and vmap over keys, models, frames and sonars; differentiable but for
     the quantisation, whose derivative is taken to be 1. No source for the whole: each effect has its own, and the
     automatic gain, energy over a power of its mean, is a model of ours.
     """
+    sonar = frame.sonar
     gains_key, texture_key, speckle_key = jax.random.split(key, 3)
-    energy = received_energy(frame, sonar, model, bounces) * beam_gains(
+    energy = received_energy(frame, model, bounces) * beam_gains(
         sonar.n_beams, model.beam_gain_std, key=gains_key
     )
     energy = energy * gamma_texture(sonar.shape, model.texture, key=texture_key)
@@ -71,7 +73,7 @@ def observe(
 
 
 def received_energy(
-    frame: SonarFrame, sonar: Sonar, model: SensorModel, bounces: SonarFrame | None = None
+    frame: SonarFrame, model: SensorModel, bounces: SonarFrame | None = None
 ) -> Float[Array, "range beam"]:
     """Mean energy (range, beam) after propagation, beams, pulse and gain, relative to the floor on the beam axis.
 
@@ -80,6 +82,7 @@ def received_energy(
     equation (Urick, Principles of Underwater Sound, 1983, ch. 2), on top of eq. 2; one backscatter for all objects, and
     a free power of cos(incidence) for the floor, after Lambert's law (Urick, ch. 8), are models of ours.
     """
+    sonar = frame.sonar
     ranges = range_middles(sonar)
     object_gain = 10 ** (jnp.asarray(model.object_gain, jnp.float32) / 10)
     slope = jnp.minimum(sonar.height / ranges, 1.0) ** jnp.asarray(model.floor_lambert, jnp.float32)
@@ -119,32 +122,39 @@ def observe_scene(
     model: SensorModel,
     *,
     key: jax.Array,
-    sub_beams: int = 2,
-    elevations: int = 64,
+    quality: RenderQuality = RenderQuality(),  # noqa: B008 (frozen)
 ) -> tuple[Float[Array, "range beam"], SonarFrame]:
     """The observed image (range, beam) of objects on the floor with their multipath, and the clean frame behind it.
 
-    `sub_beams` and `elevations` as in `render`; raises SonarjaxError as it does. `render` (eq. 1 and eq. 2),
+    Raises SonarjaxError as `render` does. `render` (eq. 1 and eq. 2),
     `render_bounces` and `observe` in a row.
     """
     if not isinstance(mesh, Mesh):
         mesh, pose = place_together(mesh, pose)
     assert isinstance(pose, Pose)
-    return _observe_scene(mesh, pose, sonar, model, key, sub_beams, elevations)
+    found = with_enough_room(lambda roomy: _observe_scene(roomy, pose, sonar, model, key, quality), mesh)
+    return found.image, found.frame
 
 
-@partial(quick_jit, static_argnames=("sub_beams", "elevations"))
+class _Observed(NamedTuple):
+    """What `observe_scene` returns, and the overflow of all that was rendered for it."""
+
+    image: Array
+    frame: SonarFrame
+    overflow: Array
+
+
+@partial(jax.jit, static_argnames="quality")
 def _observe_scene(
-    mesh: Mesh, pose: Pose, sonar: Sonar, model: SensorModel, key: jax.Array, sub_beams: int, elevations: int
-) -> tuple[Array, SonarFrame]:
-    def layers(aperture: Array) -> tuple[Array, Array, Array, Array]:
-        reaching = sonar.replace(elevation_aperture=aperture)
-        found = render(mesh, pose, reaching, sub_beams=sub_beams, elevations=elevations)
-        return found.intensity, found.highlight, found.shadow, found.lit
+    mesh: Mesh, pose: Pose, sonar: Sonar, model: SensorModel, key: jax.Array, quality: RenderQuality
+) -> _Observed:
+    def reaching(aperture: Array) -> SonarFrame:
+        return render(mesh, pose, sonar.replace(elevation_aperture=aperture), quality=quality)
 
     # One after the other, so that the renderer is compiled once.
     apertures = [s.elevation_aperture for s in (sonar, with_skirts(sonar))]
-    both = jax.lax.map(layers, jnp.stack([jnp.asarray(a, jnp.float32) for a in apertures]))
-    frame, seen = (SonarFrame(*(layer[k] for layer in both)) for k in (0, 1))
+    both = jax.lax.map(reaching, jnp.stack([jnp.asarray(a, jnp.float32) for a in apertures]))
+    frame, seen = (replace(jax.tree.map(lambda v, k=k: v[k], both), sonar=sonar) for k in (0, 1))
     bounces = render_bounces(mesh, pose, sonar, model)
-    return observe(seen, sonar, model, key=key, bounces=bounces), frame
+    overflow = jnp.maximum(both.overflow.max(), bounces.overflow)
+    return _Observed(observe(seen, model, key=key, bounces=bounces), frame, overflow)

@@ -1,0 +1,44 @@
+"""`record`: frozen dataclasses as JAX pytrees, whose unflattening bypasses the constructor.
+
+A constructor may broadcast, convert or check what a user gives it; JAX rebuilds a record from tracers, shape structs
+and placeholders, which must pass through untouched. Fields marked by `static()` decide shapes and are not leaves.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, TypeVar, dataclass_transform
+
+import jax
+
+T = TypeVar("T")
+
+
+def static(**options: Any) -> Any:
+    """A dataclass field that is no leaf: it is hashed, and another value means other compiled code."""
+    return dataclasses.field(**options, metadata={"static": True})
+
+
+@dataclass_transform(frozen_default=True, field_specifiers=(dataclasses.field, static))
+def record(cls: type[T]) -> type[T]:
+    """Make `cls` a frozen dataclass and a pytree with named leaves."""
+    made: Any = dataclasses.dataclass(frozen=True)(cls)
+    fields = dataclasses.fields(made)
+    leaves = tuple(f.name for f in fields if not f.metadata.get("static", False))
+    fixed = tuple(f.name for f in fields if f.metadata.get("static", False))
+
+    def flatten_with_keys(value: Any) -> tuple[Any, Any]:
+        keyed = tuple((jax.tree_util.GetAttrKey(name), getattr(value, name)) for name in leaves)
+        return keyed, tuple(getattr(value, name) for name in fixed)
+
+    def flatten(value: Any) -> tuple[Any, Any]:
+        return tuple(getattr(value, name) for name in leaves), tuple(getattr(value, name) for name in fixed)
+
+    def unflatten(aux: Any, children: Any) -> Any:
+        value = object.__new__(made)
+        for name, child in zip((*leaves, *fixed), (*children, *aux), strict=True):
+            object.__setattr__(value, name, child)
+        return value
+
+    jax.tree_util.register_pytree_with_keys(made, flatten_with_keys, unflatten, flatten)
+    return made

@@ -1,0 +1,51 @@
+"""`RefineConfig`: how a pose is refined, as one frozen record of numbers."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.refine.template import VIEWS, Template
+from sonarjax.render import RenderQuality
+
+
+@dataclass(frozen=True)
+class RefineConfig:
+    """How `refine_yaw` searches. Only `quality`, the number of blurs and whether it polishes decide compiled code."""
+
+    bounds: tuple[float, float, float] = (math.radians(40.0), 0.15, 0.15)
+    """Largest change of yaw [rad], x [m] and y [m] from the start."""
+    blurs: tuple[float, ...] = (8.0, 2.0, 0.8)
+    """Standard deviations of the blur in range bins, coarse to fine: the coarse ones widen the basin."""
+    iterations: int = 4
+    """Renders at each blur, at most."""
+    polish: int = 12
+    """Further renders at the last blur, to reach a point where the objective is stationary: what the implicit
+    derivative needs. 0 does without, and the derivative is zero then."""
+    quality: RenderQuality = RenderQuality(sub_beams=1)
+    """How finely the template is rendered."""
+    sharpness: float = 10.0
+    """For images of labels, where a pixel is of one class or another; 0 fits a grey image, which mixes them."""
+    margin: tuple[int, int] | None = None
+    """Only the box of the start's template and so many (bins, beams) around it count; None for the whole window.
+
+    For a grey image, whose floor is no even background, and a start that is good already."""
+    template: Template = "semantic"
+    """`semantic`, or `echo` for a frame as the device stored it: shadow, floor, each facet as bright as the elevation
+    that its echo gathers makes it, and the object's bounce on the floor, whose strength is fitted too (`sharpness`
+    plays no part then)."""
+
+    def __post_init__(self) -> None:
+        """Raises SonarjaxError for an unknown template, or numbers that no search can have."""
+        if self.template not in VIEWS:
+            raise SonarjaxError(f"template: expected one of {', '.join(VIEWS)}, got {self.template!r}")
+        if len(self.bounds) != 3 or not all(0 < v < math.inf for v in self.bounds):
+            raise SonarjaxError(f"bounds: expected three positive numbers [rad, m, m], got {self.bounds}")
+        if not self.blurs or not all(0 < v < math.inf for v in self.blurs):
+            raise SonarjaxError(f"blurs: expected positive numbers of range bins, got {self.blurs}")
+        if self.iterations < 1 or self.polish < 0 or not 0 <= self.sharpness < math.inf:
+            raise SonarjaxError(
+                "RefineConfig: expected iterations of 1 or more, polish and sharpness of 0 or more, got "
+                f"{self.iterations}, {self.polish} and {self.sharpness}"
+            )

@@ -1,0 +1,116 @@
+"""The derivative of a refined pose by what it was refined from: the implicit function theorem at the solution.
+
+At a stationary point z of F(z, θ), dz/dθ = −H⁻¹ ∂²F/∂z∂θ with H = ∂²F/∂z² (Krantz & Parks, The Implicit Function
+Theorem, 2002). Both second derivatives are central differences of first ones, over steps longer than the roughness that
+pixels give F: Gauss–Newton's JᵀJ alone would leave out the residuals' share, which is large on noisy frames.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.lax import stop_gradient
+from jaxtyping import Array, Bool, Float
+
+from sonarjax.refine.objective import Blur, Problem, misfit
+
+STEPS = (6e-3, 1.5e-3, 1.5e-3, 2e-2)
+"""Displacements of the differences: yaw [rad], x, y [m] and a bounce's energy [1]."""
+LEAST_CURVATURE = 1e-3
+"""Least eigenvalue of the Hessian in units of STEPS, as a share of its largest: below it nothing is determined."""
+
+
+def hessian(problem: Problem, blur: Blur, step: Float[Array, "step"]) -> Float[Array, "step step"]:
+    """Second derivatives of the misfit at `step`, as differences of its gradients (forward mode)."""
+
+    def gradient(at: Array) -> Array:
+        return jax.vmap(lambda along: jax.jvp(lambda s: misfit(problem, blur, s), (at,), (along,))[1])(
+            jnp.eye(len(step))
+        )
+
+    ahead = jnp.diag(jnp.asarray(STEPS))
+    slopes = jax.lax.map(gradient, jnp.concatenate([step + ahead, step - ahead]))
+    up, down = slopes[: len(step)], slopes[len(step) :]
+    rows = (up - down) / (2 * jnp.asarray(STEPS)[:, None])
+    return (rows + rows.T) / 2
+
+
+def is_minimum(curvature: Float[Array, "step step"], free: Bool[Array, "step"]) -> Bool[Array, ""]:
+    """True where the misfit bends upwards clearly in every `free` direction."""
+    scale = jnp.asarray(STEPS)
+    scaled = curvature * scale[:, None] * scale
+    most = jnp.abs(jnp.where(free, jnp.diag(scaled), 0.0)).max()
+    # What is held fast gets the largest curvature, so that it does not count.
+    scaled = jnp.where(free[:, None] & free, scaled, jnp.diag(jnp.full(len(scale), most)))
+    ok = jnp.isfinite(scaled).all() & (most > 0)
+    lowest = jnp.linalg.eigvalsh(jnp.where(ok, scaled, jnp.eye(len(scale)))).min()
+    return ok & (lowest > LEAST_CURVATURE * most) & free.any()
+
+
+@jax.custom_vjp
+def attach(
+    solution: Float[Array, "step"], problem: Problem, blur: Blur, curvature: Float[Array, "step step"],
+    free: Bool[Array, "step"], determined: Bool[Array, ""],
+) -> Float[Array, "step"]:  # fmt: skip
+    """`solution` as it is, with its derivative by everything in `problem`; zero unless it is `determined`.
+
+    `curvature` is the misfit's Hessian there. Numbers that are not `free` lie on a bound, or are not fitted: they leave
+    the system. The start, of which a minimum does not depend, gets no derivative.
+    """
+    return solution
+
+
+def _forward(solution: Any, problem: Any, blur: Any, curvature: Any, free: Any, determined: Any) -> Any:
+    return solution, (solution, problem, blur, curvature, free, determined)
+
+
+def _backward(kept: Any, wanted: Float[Array, "step"]) -> Any:
+    solution, problem, blur, curvature, free, determined = kept
+    held = ~free
+    system = jnp.where(held[:, None] | held, jnp.eye(len(solution)), curvature)
+    direction = jnp.linalg.solve(system, jnp.where(held, 0.0, wanted))
+    usable = determined & jnp.isfinite(direction).all()
+    direction = jnp.where(usable, direction, 0.0)
+    # The mixed derivative along `direction`, as the difference of two gradients by θ.
+    size = jnp.maximum(jnp.abs(direction / jnp.asarray(STEPS)).max(), 1e-12)
+    shift = direction / size
+
+    leaves, tree = jax.tree.flatten(problem)
+    inexact = [jnp.issubdtype(jnp.result_type(v), jnp.inexact) for v in leaves]
+    floats = [v for v, real in zip(leaves, inexact, strict=True) if real]
+
+    def at(step: Array) -> list[Array]:
+        def of(values: list[Array]) -> Array:
+            given = iter(values)
+            whole = [next(given) if real else v for v, real in zip(leaves, inexact, strict=True)]
+            return misfit(jax.tree.unflatten(tree, whole), blur, step, reverse=True)
+
+        return jax.grad(of)(floats)
+
+    slopes = jax.lax.map(at, jnp.stack([solution + shift, solution - shift]))
+    found = iter([jnp.where(usable, -size * (v[0] - v[1]) / 2, 0.0) for v in slopes])
+    by_problem = [next(found) if real else _no_tangent(v) for v, real in zip(leaves, inexact, strict=True)]
+    by_problem = jax.tree.unflatten(tree, by_problem)
+    zeros = [jax.tree.map(_zero_tangent, v) for v in (blur, curvature, free, determined)]
+    return jnp.zeros_like(wanted), by_problem, *zeros
+
+
+def _no_tangent(value: Any) -> np.ndarray:
+    """What JAX takes for the derivative by an integer."""
+    return np.zeros(np.shape(value), jax.dtypes.float0)
+
+
+def _zero_tangent(value: Any) -> Any:
+    real = jnp.issubdtype(jnp.result_type(value), jnp.inexact)
+    return jnp.zeros_like(value) if real else _no_tangent(value)
+
+
+attach.defvjp(_forward, _backward)
+
+
+def without_gradient(tree: Any) -> Any:
+    """All leaves of a pytree held constant."""
+    return jax.tree.map(stop_gradient, tree)

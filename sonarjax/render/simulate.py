@@ -1,0 +1,99 @@
+"""`render`: what a sonar would see of one or several objects on the floor, at one pose or a batch of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.render.frame import RenderQuality, SonarFrame, Window
+from sonarjax.render.window import render_window
+from sonarjax.scene import Mesh, Pose
+from sonarjax.sonar import Sonar
+
+
+def render(
+    mesh: Mesh | Sequence[Mesh],
+    pose: Pose | Sequence[Pose],
+    sonar: Sonar,
+    *,
+    quality: RenderQuality = RenderQuality(),  # noqa: B008 (frozen)
+) -> SonarFrame:
+    """Simulate a frame (*batch, range, beam) of one object, or of several given as sequences of equal length.
+
+    §2.1, eq. 1–2. `*batch` is the shape of `pose`, or of `pose` and stacked meshes broadcast together; batches of
+    sonars go through `jax.vmap`. Differentiable in every float of `pose` [m, rad], `sonar` and the vertices, under jit,
+    vmap, grad and jacfwd, the visibility included. Outside a trace room is made where a slice crosses more triangles
+    than the mesh has room for; inside, `overflow` of the frame counts them.
+
+    Raises SonarjaxError when the numbers of meshes and poses differ.
+    """
+    if not isinstance(mesh, Mesh):
+        mesh, pose = place_together(mesh, pose)
+    assert isinstance(pose, Pose)
+    return with_enough_room(lambda roomy: _render(roomy, pose, sonar, quality), mesh)
+
+
+def with_enough_room(rendered: Callable[[Mesh], Any], mesh: Mesh) -> Any:
+    """`rendered(mesh)`, whose result has `overflow`, with room for all triangles: made by rendering again if need be.
+
+    A traced overflow cannot be looked at: it is the caller's then.
+    """
+    found = rendered(mesh)
+    while not isinstance(found.overflow, jax.core.Tracer) and (missing := int(np.max(np.asarray(found.overflow)))) > 0:
+        mesh = mesh.with_room(mesh.crossings + missing, mesh.front + missing)
+        found = rendered(mesh)
+    return found
+
+
+@partial(jax.jit, static_argnames="quality")
+def _render(mesh: Mesh, pose: Pose, sonar: Sonar, quality: RenderQuality) -> SonarFrame:
+    window = Window(0, 0, sonar.shape)
+    batch = jnp.broadcast_shapes(pose.shape, mesh.closed.shape)
+    if not batch:
+        return render_window(mesh, pose, sonar, window, quality)
+    poses = jax.tree.map(lambda v: jnp.broadcast_to(v, batch).reshape(-1), pose)
+    if not mesh.closed.shape:
+        frames = one_by_one(lambda one: render_window(mesh, one, sonar, window, quality), poses)
+    else:
+        axes = len(mesh.closed.shape)
+        meshes = jax.tree.map(lambda v: jnp.broadcast_to(v, (*batch, *v.shape[axes:])), mesh)
+        meshes = jax.tree.map(lambda v: v.reshape(-1, *v.shape[len(batch) :]), meshes)
+        frames = one_by_one(lambda one: render_window(*one, sonar, window, quality), (meshes, poses))
+    return jax.tree.map(lambda v: v.reshape(*batch, *v.shape[1:]), frames)
+
+
+def one_by_one(function: Callable[[Any], Any], items: Any) -> Any:
+    """`jax.vmap(function)(items)`, one after another on a CPU, where a batch would only spill the caches."""
+    count = len(jax.tree.leaves(items)[0])
+    return jax.lax.map(function, items, batch_size=None if jax.default_backend() == "cpu" else count)
+
+
+def place_together(meshes: Sequence[Mesh], poses: Pose | Sequence[Pose]) -> tuple[Mesh, Pose]:
+    """Several objects at their poses as one mesh in the ground frame, and the pose (at the origin) it stands at.
+
+    Raises SonarjaxError when the numbers of meshes and poses differ, or there is none.
+    """
+    poses = [poses] if isinstance(poses, Pose) else list(poses)
+    if len(meshes) != len(poses) or not meshes:
+        raise SonarjaxError(f"render: expected as many poses as meshes, got {len(poses)} and {len(meshes)}")
+    starts = [sum(len(m.vertices) for m in meshes[:k]) for k in range(len(meshes))]
+    joined = replace(
+        meshes[0],
+        vertices=jnp.concatenate([p.to_ground(m.vertices) for m, p in zip(meshes, poses, strict=True)]),
+        faces=jnp.concatenate([m.faces + s for m, s in zip(meshes, starts, strict=True)]),
+        crease=jnp.concatenate([m.crease + s for m, s in zip(meshes, starts, strict=True)]),
+        closed=jnp.stack([m.closed for m in meshes]).all(),
+        radius=jnp.stack([m.radius for m in meshes]).max(),
+        top=jnp.stack([m.top for m in meshes]).max(),
+        crossings=sum(m.crossings for m in meshes),
+        front=sum(m.front for m in meshes),
+        intersecting=len(meshes) > 1 or meshes[0].intersecting,
+    )
+    return joined, Pose()
