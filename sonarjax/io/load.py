@@ -27,6 +27,8 @@ PARSERS: dict[str, Parser] = {
 """File ending -> `parse(content, name, index)`, a generator of frames."""
 
 
+RECORDINGS = (".aris", ".ddf", ".raw")
+"""Endings of files that may hold several frames."""
 PICTURE_LIMIT = 4 * 2**30
 """Largest .npz, .npy or .png that is read, 4 GiB [bytes]: eight arrays of as many doubles as a frame may have pixels."""
 SIZE_LIMITS = {".npz": PICTURE_LIMIT, ".npy": PICTURE_LIMIT, ".png": PICTURE_LIMIT}

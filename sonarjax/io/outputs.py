@@ -1,0 +1,73 @@
+"""What a command will write, held against what it reads: an output never takes the place of an input or of another."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Mapping, Sequence
+
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.load import RECORDINGS, split_spec
+
+
+def check_outputs(outputs: Mapping[str, str | None], inputs: Iterable[str]) -> None:
+    """Raises SonarjaxError when an output would replace an input, or another output; call it before writing.
+
+    `outputs` maps the option to its path (None where it was not given), `inputs` are paths or frames as `path:N`.
+    Links are followed. A device such as /dev/null may be given twice.
+    """
+    given = [(option, path) for option, path in outputs.items() if path is not None]
+    sources = [split_spec(spec)[0] for spec in inputs]
+    for number, (option, path) in enumerate(given):
+        for source in sources:
+            if same_file(path, source):
+                raise SonarjaxError(f"{option}: {path!r} would overwrite the input {source!r}: expected another file")
+        for other, taken in given[:number]:
+            if same_file(path, taken):
+                raise SonarjaxError(f"{option}: {path!r} is also {other}: expected another file")
+
+
+def check_label_files(folder: str, specs: Sequence[str]) -> None:
+    """Raises SonarjaxError when `labels_<stem>.npz` in `folder` would replace an input, or serve two inputs.
+
+    `specs` are frames as `path` or `path:N`. How many frames a recording holds is not known yet: any number counts.
+    """
+    paths = list(dict.fromkeys(split_spec(spec)[0] for spec in specs))
+    for path in paths:
+        stem, ending = os.path.splitext(os.path.basename(path))
+        several = "(_[0-9]+)?" if ending.lower() in RECORDINGS else ""
+        pattern = re.compile(rf"labels_{re.escape(stem)}{several}\.npz", re.DOTALL)
+        for source in paths:
+            name = _name_in(folder, source)
+            if name is not None and pattern.fullmatch(name):
+                raise SonarjaxError(f"{path}: its labels would overwrite the input {source!r}: expected another folder")
+    _check_stems([path for path in paths if os.path.splitext(path)[1].lower() not in RECORDINGS])
+
+
+def _check_stems(paths: Sequence[str]) -> None:
+    """No two files of one frame each share a stem. Raises SonarjaxError."""
+    taken: dict[str, str] = {}
+    for path in paths:
+        stem = os.path.splitext(os.path.basename(path))[0]
+        other = taken.setdefault(stem, path)
+        if other != path and not same_file(other, path):
+            raise SonarjaxError(f"{path}: its labels would overwrite those of {other}: same stem")
+
+
+def _name_in(folder: str, path: str) -> str | None:
+    """Name of the entry of `folder` that is the file `path`, which may be a link to it; None where there is none."""
+    try:
+        with os.scandir(folder) as entries:
+            return next((entry.name for entry in entries if same_file(entry.path, path)), None)
+    except (OSError, ValueError):  # it is not there yet, or cannot be one: whoever makes it will say so
+        return None
+
+
+def same_file(one: str, other: str) -> bool:
+    """True when both paths name one regular file, or will do when it is written; links are followed."""
+    try:
+        if os.path.exists(one) and os.path.exists(other):
+            return os.path.isfile(one) and os.path.samefile(one, other)
+        return os.path.realpath(one) == os.path.realpath(other)
+    except (OSError, ValueError):  # a path that cannot be: whoever opens it will say so
+        return False
