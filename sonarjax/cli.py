@@ -181,6 +181,9 @@ def _limited(text: str, low: float, high: float) -> float:
 
 
 def _render(args: argparse.Namespace) -> int:
+    from sonarjax.io import check_outputs
+
+    check_outputs({"--out": args.out, "--png": args.png}, (args.mesh, args.sonar))
     _start_jax()
     from sonarjax.render import render
     from sonarjax.scene import Mesh, Pose
@@ -218,10 +221,12 @@ def _write_frame(path: str, frame: Lazy, sonar: Lazy) -> None:
 
 
 def _segment(args: argparse.Namespace) -> int:
+    from sonarjax.io import SonarjaxError, check_label_files, write_npz
+
+    check_label_files(args.out_dir, args.frames)
     _start_jax()
     import numpy as np
 
-    from sonarjax.io import SonarjaxError, write_npz
     from sonarjax.segment import segment
 
     _make_folder(args.out_dir)
@@ -243,8 +248,10 @@ def _segment(args: argparse.Namespace) -> int:
 
 
 def _recognize(args: argparse.Namespace) -> int:
+    from sonarjax.io import JsonLines, SonarjaxError, check_outputs
+
+    check_outputs({"--out": args.out}, (*args.frames, args.target, args.sonar))
     _start_jax()
-    from sonarjax.io import JsonLines, SonarjaxError
     from sonarjax.recognize import Recognizer
     from sonarjax.scene import Mesh
     from sonarjax.sonar import Sonar

@@ -33,34 +33,51 @@ def check_label_files(folder: str, specs: Sequence[str]) -> None:
     `specs` are frames as `path` or `path:N`. How many frames a recording holds is not known yet: any number counts.
     """
     paths = list(dict.fromkeys(split_spec(spec)[0] for spec in specs))
-    for path in paths:
-        stem, ending = os.path.splitext(os.path.basename(path))
-        several = "(_[0-9]+)?" if ending.lower() in RECORDINGS else ""
-        pattern = re.compile(rf"labels_{re.escape(stem)}{several}\.npz", re.DOTALL)
-        for source in paths:
-            name = _name_in(folder, source)
-            if name is not None and pattern.fullmatch(name):
-                raise SonarjaxError(f"{path}: its labels would overwrite the input {source!r}: expected another folder")
-    _check_stems([path for path in paths if os.path.splitext(path)[1].lower() not in RECORDINGS])
+    stems = {_stem(path): path for path in paths}
+    recordings = {_stem(path) for path in paths if _is_recording(path)}
+    inputs = {identity: path for path in paths if (identity := _identity(path)) is not None}
+    for name in _label_names(folder):
+        source = inputs.get(_identity(os.path.join(folder, name)))
+        stem = name.removeprefix("labels_").removesuffix(".npz")
+        numbered = re.sub("_[0-9]+$", "", stem)
+        if source is not None and (stem in stems or numbered in recordings):
+            frame = stems.get(stem) or stems[numbered]
+            raise SonarjaxError(f"{frame}: its labels would overwrite the input {source!r}: expected another folder")
+    _check_stems([path for path in paths if not _is_recording(path)])
 
 
 def _check_stems(paths: Sequence[str]) -> None:
     """No two files of one frame each share a stem. Raises SonarjaxError."""
     taken: dict[str, str] = {}
     for path in paths:
-        stem = os.path.splitext(os.path.basename(path))[0]
-        other = taken.setdefault(stem, path)
+        other = taken.setdefault(_stem(path), path)
         if other != path and not same_file(other, path):
             raise SonarjaxError(f"{path}: its labels would overwrite those of {other}: same stem")
 
 
-def _name_in(folder: str, path: str) -> str | None:
-    """Name of the entry of `folder` that is the file `path`, which may be a link to it; None where there is none."""
+def _stem(path: str) -> str:
+    return os.path.splitext(os.path.basename(path))[0]
+
+
+def _is_recording(path: str) -> bool:
+    return os.path.splitext(path)[1].lower() in RECORDINGS
+
+
+def _identity(path: str) -> tuple[int, int] | None:
+    """Device and number of a file, links followed; None where there is none."""
     try:
-        with os.scandir(folder) as entries:
-            return next((entry.name for entry in entries if same_file(entry.path, path)), None)
-    except (OSError, ValueError):  # it is not there yet, or cannot be one: whoever makes it will say so
+        status = os.stat(path)
+    except (OSError, ValueError):
         return None
+    return status.st_dev, status.st_ino
+
+
+def _label_names(folder: str) -> list[str]:
+    """Names in `folder` that could be label files; none where it is missing, whoever makes it says what is wrong."""
+    try:
+        return [name for name in os.listdir(folder) if name.startswith("labels_") and name.endswith(".npz")]
+    except (OSError, ValueError):
+        return []
 
 
 def same_file(one: str, other: str) -> bool:

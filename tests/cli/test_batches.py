@@ -151,6 +151,25 @@ def test_what_stops_a_batch(complaint, stand_in, place, tmp_path, option, value,
     assert not out.exists()
 
 
+@pytest.mark.parametrize("name", ["a.npz", "brick.stl", "sonar.toml"])
+def test_results_never_take_the_place_of_an_input(complaint, stand_in, place, tmp_path, name):
+    before = (place / name).read_bytes()
+    os.symlink(place / name, tmp_path / "link")
+    for out in (place / name, tmp_path / "link"):
+        target = ["--target", place / "brick.stl", "--sonar", place / "sonar.toml", "--out", out]
+        assert "would overwrite the input" in complaint(2, "recognize", place / "a.npz", *target)
+    assert (place / name).read_bytes() == before
+
+
+def test_labels_never_take_the_place_of_an_input(complaint, stand_in, place, tmp_path):
+    for name in ("a.npz", "labels_a.npz"):
+        (tmp_path / name).write_bytes((place / "a.npz").read_bytes())
+    frames = [tmp_path / "labels_a.npz", tmp_path / "a.npz"]
+    assert "would overwrite the input" in complaint(2, "segment", *frames, "--out-dir", tmp_path)
+    assert sorted(os.listdir(tmp_path)) == ["a.npz", "labels_a.npz"]
+    assert frames[0].read_bytes() == frames[1].read_bytes()
+
+
 def test_segment_writes_labels_by_stem(command, stand_in, place, tmp_path):
     path = tmp_path / "two.aris"
     path.write_bytes(recording(2))
