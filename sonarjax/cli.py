@@ -233,17 +233,19 @@ def _segment(args: argparse.Namespace) -> int:
     code, written = 0, dict[str, str]()
     for name, frame in _each_frame(args.frames):
         try:
-            if isinstance(frame, SonarjaxError):
+            if isinstance(frame, Exception):
                 raise frame
-            labels = segment(frame.image, DEFAULT_SEGMENTER, mask=frame.mask)
-        except SonarjaxError as error:
+            labels = np.asarray(segment(frame.image, DEFAULT_SEGMENTER, mask=frame.mask), np.uint8)
+        except BrokenPipeError:
+            raise
+        except Exception as error:  # whatever one frame does to us, the others are still to be segmented
             _complain(_naming(name, error))
             code = 1
             continue
         if written.setdefault(frame.stem, name) != name:
             raise SonarjaxError(f"{name}: its labels would overwrite those of {written[frame.stem]}: same stem")
         path = os.path.join(args.out_dir, f"labels_{frame.stem}.npz")
-        write_npz(path, labels=np.asarray(labels, np.uint8))
+        write_npz(path, labels=labels)
     return code
 
 
@@ -264,10 +266,12 @@ def _recognize(args: argparse.Namespace) -> int:
     with JsonLines(args.out) as lines:
         for name, frame in _each_frame(args.frames):
             try:
-                if isinstance(frame, SonarjaxError):
+                if isinstance(frame, Exception):
                     raise frame
                 record = _recognize_one(frame, mesh, sonar, args)
-            except SonarjaxError as error:
+            except BrokenPipeError:
+                raise
+            except Exception as error:  # whatever one frame does to us, the others are still to be recognized
                 record = {"frame": name, "error": _naming(name, error), "schema": 1}
                 _complain(record["error"])
                 code = 1
@@ -317,13 +321,13 @@ def _info(args: argparse.Namespace) -> int:
 
 
 def _each_frame(specs: Sequence[str]) -> Iterator[tuple[str, Lazy]]:
-    """Name and io.Frame of every frame in the order given; for one that cannot be read, its SonarjaxError.
+    """Name and io.Frame of every frame in the order given; for one that cannot be read, the exception that says why.
 
     A bar on stderr shows progress where that is a terminal.
     """
     from tqdm import tqdm
 
-    from sonarjax.io import SonarjaxError, iter_frames, split_spec
+    from sonarjax.io import iter_frames, split_spec
 
     with tqdm(total=len(specs), unit="frame", file=sys.stderr, disable=not sys.stderr.isatty()) as bar:
         for spec in specs:
@@ -335,7 +339,9 @@ def _each_frame(specs: Sequence[str]) -> Iterator[tuple[str, Lazy]]:
                     first = False
                     yield frame.source, frame
                     bar.update()
-            except SonarjaxError as error:
+            except BrokenPipeError:
+                raise
+            except Exception as error:
                 yield spec, error
                 bar.update()
 
@@ -359,10 +365,15 @@ def _make_folder(path: str) -> None:
 
 
 def _naming(name: str, error: Exception) -> str:
-    """The error's message, opened by the frame's name where it does not name the file itself."""
-    from sonarjax.io import split_spec
+    """The error's message, opened by the frame's name where it does not name the file itself.
 
-    message = str(error)
+    An exception that is not ours is named too: its message alone seldom says what happened.
+    """
+    from sonarjax.io import SonarjaxError, split_spec
+
+    message = " ".join(str(error).split())
+    if not isinstance(error, SonarjaxError):
+        return f"{name}: {type(error).__name__}: {message}".removesuffix(": ")
     return message if message.startswith(split_spec(name)[0]) else f"{name}: {message}"
 
 
