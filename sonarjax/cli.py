@@ -185,11 +185,12 @@ def _render(args: argparse.Namespace) -> int:
 
     check_outputs({"--out": args.out, "--png": args.png}, (args.mesh, args.sonar))
     _start_jax()
-    from sonarjax.render import render
+    from sonarjax.render import check_fits, render
     from sonarjax.scene import Mesh, Pose
     from sonarjax.sonar import Sonar
 
     sonar, mesh = Sonar.from_toml(args.sonar), Mesh.load(args.mesh, args.unit_m)
+    check_fits(mesh, sonar, args.mesh)
     quality = {} if args.sub_beams is None else {"sub_beams": args.sub_beams}
     frame = render(mesh, Pose(x=args.x, y=args.y, yaw=math.radians(args.yaw_deg)), sonar, **quality)
     _write_frame(args.out, frame, sonar)
@@ -255,13 +256,18 @@ def _recognize(args: argparse.Namespace) -> int:
     check_outputs({"--out": args.out}, (*args.frames, args.target, args.sonar))
     _start_jax()
     from sonarjax.recognize import Recognizer
+    from sonarjax.render import check_fits
     from sonarjax.scene import Mesh
     from sonarjax.sonar import Sonar
 
     if args.segmenter not in SEGMENTERS:
         raise SonarjaxError(f"--segmenter: expected {', '.join(SEGMENTERS)}, got {args.segmenter!r}")
     sonar, mesh = Sonar.from_toml(args.sonar), Mesh.load(args.target, args.unit_m)
-    Recognizer(mesh, sonar)  # a sonar that sees no floor is refused before any frame is read
+    check_fits(mesh, sonar, args.target)
+    try:
+        Recognizer(mesh, sonar)  # a sonar that sees no floor, or too much, is refused before any frame is read
+    except SonarjaxError as error:
+        raise SonarjaxError(_naming(args.sonar, error)) from error
     code = 0
     with JsonLines(args.out) as lines:
         for name, frame in _each_frame(args.frames):

@@ -53,7 +53,9 @@ def iter_frames(spec: str | os.PathLike[str]) -> Iterator[Frame]:
     ending = os.path.splitext(path)[1].lower()
     if ending not in PARSERS and os.path.isfile(path):
         raise SonarjaxError(f"{path}: unknown ending {ending!r}: expected one of {', '.join(PARSERS)}")
-    data = read_bytes(path, limit=SIZE_LIMITS.get(ending))  # says what is wrong with a folder or a missing file, whatever its ending
+    data = read_bytes(
+        path, limit=SIZE_LIMITS.get(ending)
+    )  # says what is wrong with a folder or a missing file, whatever its ending
     yield from PARSERS[ending](data, path, index)
 
 

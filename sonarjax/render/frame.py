@@ -14,6 +14,7 @@ from sonarjax._cores import quick_jit
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.render.window import Window, render_window
 from sonarjax.scene import Mesh, Pose
+from sonarjax.scene.limits import check_pose
 from sonarjax.sonar import Sonar
 
 SUB_BEAMS = 2
@@ -68,10 +69,13 @@ def render(
     `elevations` is about the number of elevation cells of the energy integral; which surface is visible does not
     depend on it below 33 triangles a slice (`envelope.EXACT_LIMIT`), and is sampled at that many elevations above.
 
-    Raises SonarjaxError when the numbers of meshes and poses differ or a quality is below 1.
+    Raises SonarjaxError when the numbers of meshes and poses differ, a quality is below 1, or a pose that is known
+    (not traced) is not finite or absurdly far away.
     """
     if sub_beams < 1 or elevations < 1:
         raise SonarjaxError(f"sub_beams and elevations: expected at least 1, got {sub_beams} and {elevations}")
+    for one in [pose] if isinstance(pose, Pose) else pose:
+        check_pose(one)
     if not isinstance(mesh, Mesh):
         mesh, pose = place_together(mesh, pose)
     assert isinstance(pose, Pose)

@@ -116,7 +116,9 @@ def test_an_old_frame_survives_a_failed_render(complaint, place, tmp_path):
     assert out.read_bytes() == b"old"
 
 
-@pytest.mark.parametrize(("out", "png"), [("brick.stl", None), ("sonar.toml", None), ("n.npz", "n.npz"), ("n", "brick.stl")])
+@pytest.mark.parametrize(
+    ("out", "png"), [("brick.stl", None), ("sonar.toml", None), ("n.npz", "n.npz"), ("n", "brick.stl")]
+)
 def test_outputs_that_name_an_input_or_each_other(complaint, place, out, png):
     before = {name: (place / name).read_bytes() for name in ("brick.stl", "sonar.toml")}
     picture = [] if png is None else ["--png", place / png]

@@ -170,7 +170,10 @@ BAD = [
     ({"spreading_exponent": 1e9}, "spreading_exponent must be at most 10, got 1e+09"),
     ({"absorption_db_m": 1e39}, "absorption_db_m must be at most 1000 dB/m"),
     ({"lambert": 1e9}, "lambert must be at most 100"),
-    ({"floor": {"x_m": -1e39, "y_m": 0, "length_m": 1, "width_m": 1}}, "floor.x_m must be at most 100000 m, got -1e+39"),
+    (
+        {"floor": {"x_m": -1e39, "y_m": 0, "length_m": 1, "width_m": 1}},
+        "floor.x_m must be at most 100000 m, got -1e+39",
+    ),
     (
         {"n_beams": 10_000, "n_ranges": 100_000},
         "n_ranges times n_beams must be at most 16777216, got 100000 x 10000 = 1000000000",
