@@ -16,8 +16,14 @@ from sonarjax.io.errors import SonarjaxError
 from sonarjax.match import PreparedBank, between_bins, match_positions, peaks, prepare_bank
 from sonarjax.refine import YawEstimate, refine_yaw
 from sonarjax.render import (
-    TemplateBank, bank_place, check_fits, floor_point, object_columns, template_bank, window_shape,
-)  # fmt: skip
+    TemplateBank,
+    bank_place,
+    check_fits,
+    floor_point,
+    object_columns,
+    template_bank,
+    window_shape,
+)
 from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS
 from sonarjax.scene import Mesh, Pose
 from sonarjax.segment import DEFAULT_SEGMENTER, semantic_map

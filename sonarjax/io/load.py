@@ -30,7 +30,7 @@ PARSERS: dict[str, Parser] = {
 RECORDINGS = (".aris", ".ddf", ".raw")
 """Endings of files that may hold several frames."""
 PICTURE_LIMIT = 4 * 2**30
-"""Largest .npz, .npy or .png that is read, 4 GiB [bytes]: eight arrays of as many doubles as a frame may have pixels."""
+"""Largest .npz, .npy or .png that is read, 4 GiB [bytes]: room for eight arrays of `PIXEL_LIMIT` doubles."""
 SIZE_LIMITS = {".npz": PICTURE_LIMIT, ".npy": PICTURE_LIMIT, ".png": PICTURE_LIMIT}
 """File ending -> limit [bytes]; recordings are bounded by memory only."""
 

@@ -37,7 +37,8 @@ def check_label_files(folder: str, specs: Sequence[str]) -> None:
     recordings = {_stem(path) for path in paths if _is_recording(path)}
     inputs = {identity: path for path in paths if (identity := _identity(path)) is not None}
     for name in _label_names(folder):
-        source = inputs.get(_identity(os.path.join(folder, name)))
+        identity = _identity(os.path.join(folder, name))
+        source = None if identity is None else inputs.get(identity)
         stem = name.removeprefix("labels_").removesuffix(".npz")
         numbered = re.sub("_[0-9]+$", "", stem)
         if source is not None and (stem in stems or numbered in recordings):

@@ -170,7 +170,7 @@ def test_a_file_larger_than_memory_is_an_error_line(recognize, stand_in, place, 
     huge = tmp_path / f"huge{ending}"
     huge.touch()
     os.truncate(huge, 2**40)  # sparse: it takes no space on the disk
-    code, err, records = recognize([huge, place / "b.npy"], tmp_path / "r.jsonl")
+    code, _, records = recognize([huge, place / "b.npy"], tmp_path / "r.jsonl")
     assert code == 1
     assert records[0]["error"].startswith(f"{huge}: the file is too large")
     assert "score" in records[1]

@@ -40,7 +40,7 @@ def test_a_mesh_far_from_its_own_origin(offset):
 def test_a_mesh_within_the_limit_is_right_and_silent(offset):
     mesh = Mesh.from_arrays(BOX.vertices + [offset, 0, 0], BOX.faces)
     np.testing.assert_allclose(np.ptp(np.asarray(mesh.vertices), axis=0), [0.2, 0.1, 0.06], atol=1e-4)
-    assert mesh.closed and 0 < mesh.crossings
+    assert mesh.closed and mesh.crossings > 0
 
 
 @pytest.mark.parametrize("scale", [1e-300, 1e-30, 1e-6])
