@@ -181,12 +181,16 @@ def _limited(text: str, low: float, high: float) -> float:
 
 
 def _render(args: argparse.Namespace) -> int:
+    from sonarjax.io import check_outputs
+
+    check_outputs({"--out": args.out, "--png": args.png}, (args.mesh, args.sonar))
     _start_jax()
-    from sonarjax.render import render
+    from sonarjax.render import check_fits, render
     from sonarjax.scene import Mesh, Pose
     from sonarjax.sonar import Sonar
 
     sonar, mesh = Sonar.from_toml(args.sonar), Mesh.load(args.mesh, args.unit_m)
+    check_fits(mesh, sonar, args.mesh)
     quality = {} if args.sub_beams is None else {"sub_beams": args.sub_beams}
     frame = render(mesh, Pose(x=args.x, y=args.y, yaw=math.radians(args.yaw_deg)), sonar, **quality)
     _write_frame(args.out, frame, sonar)
@@ -218,49 +222,62 @@ def _write_frame(path: str, frame: Lazy, sonar: Lazy) -> None:
 
 
 def _segment(args: argparse.Namespace) -> int:
+    from sonarjax.io import SonarjaxError, check_label_files, write_npz
+
+    check_label_files(args.out_dir, args.frames)
     _start_jax()
     import numpy as np
 
-    from sonarjax.io import SonarjaxError, write_npz
     from sonarjax.segment import segment
 
     _make_folder(args.out_dir)
     code, written = 0, dict[str, str]()
     for name, frame in _each_frame(args.frames):
         try:
-            if isinstance(frame, SonarjaxError):
+            if isinstance(frame, Exception):
                 raise frame
-            labels = segment(frame.image, DEFAULT_SEGMENTER, mask=frame.mask)
-        except SonarjaxError as error:
+            labels = np.asarray(segment(frame.image, DEFAULT_SEGMENTER, mask=frame.mask), np.uint8)
+        except BrokenPipeError:
+            raise
+        except Exception as error:  # whatever one frame does to us, the others are still to be segmented
             _complain(_naming(name, error))
             code = 1
             continue
         if written.setdefault(frame.stem, name) != name:
             raise SonarjaxError(f"{name}: its labels would overwrite those of {written[frame.stem]}: same stem")
         path = os.path.join(args.out_dir, f"labels_{frame.stem}.npz")
-        write_npz(path, labels=np.asarray(labels, np.uint8))
+        write_npz(path, labels=labels)
     return code
 
 
 def _recognize(args: argparse.Namespace) -> int:
+    from sonarjax.io import JsonLines, SonarjaxError, check_outputs
+
+    check_outputs({"--out": args.out}, (*args.frames, args.target, args.sonar))
     _start_jax()
-    from sonarjax.io import JsonLines, SonarjaxError
     from sonarjax.recognize import Recognizer
+    from sonarjax.render import check_fits
     from sonarjax.scene import Mesh
     from sonarjax.sonar import Sonar
 
     if args.segmenter not in SEGMENTERS:
         raise SonarjaxError(f"--segmenter: expected {', '.join(SEGMENTERS)}, got {args.segmenter!r}")
     sonar, mesh = Sonar.from_toml(args.sonar), Mesh.load(args.target, args.unit_m)
-    Recognizer(mesh, sonar)  # a sonar that sees no floor is refused before any frame is read
+    check_fits(mesh, sonar, args.target)
+    try:
+        Recognizer(mesh, sonar)  # a sonar that sees no floor, or too much, is refused before any frame is read
+    except SonarjaxError as error:
+        raise SonarjaxError(_naming(args.sonar, error)) from error
     code = 0
     with JsonLines(args.out) as lines:
         for name, frame in _each_frame(args.frames):
             try:
-                if isinstance(frame, SonarjaxError):
+                if isinstance(frame, Exception):
                     raise frame
                 record = _recognize_one(frame, mesh, sonar, args)
-            except SonarjaxError as error:
+            except BrokenPipeError:
+                raise
+            except Exception as error:  # whatever one frame does to us, the others are still to be recognized
                 record = {"frame": name, "error": _naming(name, error), "schema": 1}
                 _complain(record["error"])
                 code = 1
@@ -310,13 +327,13 @@ def _info(args: argparse.Namespace) -> int:
 
 
 def _each_frame(specs: Sequence[str]) -> Iterator[tuple[str, Lazy]]:
-    """Name and io.Frame of every frame in the order given; for one that cannot be read, its SonarjaxError.
+    """Name and io.Frame of every frame in the order given; for one that cannot be read, the exception that says why.
 
     A bar on stderr shows progress where that is a terminal.
     """
     from tqdm import tqdm
 
-    from sonarjax.io import SonarjaxError, iter_frames, split_spec
+    from sonarjax.io import iter_frames, split_spec
 
     with tqdm(total=len(specs), unit="frame", file=sys.stderr, disable=not sys.stderr.isatty()) as bar:
         for spec in specs:
@@ -328,7 +345,9 @@ def _each_frame(specs: Sequence[str]) -> Iterator[tuple[str, Lazy]]:
                     first = False
                     yield frame.source, frame
                     bar.update()
-            except SonarjaxError as error:
+            except BrokenPipeError:
+                raise
+            except Exception as error:
                 yield spec, error
                 bar.update()
 
@@ -352,10 +371,15 @@ def _make_folder(path: str) -> None:
 
 
 def _naming(name: str, error: Exception) -> str:
-    """The error's message, opened by the frame's name where it does not name the file itself."""
-    from sonarjax.io import split_spec
+    """The error's message, opened by the frame's name where it does not name the file itself.
 
-    message = str(error)
+    An exception that is not ours is named too: its message alone seldom says what happened.
+    """
+    from sonarjax.io import SonarjaxError, split_spec
+
+    message = " ".join(str(error).split())
+    if not isinstance(error, SonarjaxError):
+        return f"{name}: {type(error).__name__}: {message}".removesuffix(": ")
     return message if message.startswith(split_spec(name)[0]) else f"{name}: {message}"
 
 

@@ -15,7 +15,15 @@ from sonarjax._cores import side_by_side
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.match import PreparedBank, between_bins, match_positions, peaks, prepare_bank
 from sonarjax.refine import YawEstimate, refine_yaw
-from sonarjax.render import TemplateBank, bank_place, floor_point, object_columns, template_bank, window_shape
+from sonarjax.render import (
+    TemplateBank,
+    bank_place,
+    check_fits,
+    floor_point,
+    object_columns,
+    template_bank,
+    window_shape,
+)
 from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS
 from sonarjax.scene import Mesh, Pose
 from sonarjax.segment import DEFAULT_SEGMENTER, semantic_map
@@ -25,6 +33,8 @@ YAW_BINS = 36  # the paper's 10°
 COARSE_EVERY = 3  # the search over distance uses every third bank and yaws of about 20°
 COARSE_YAWS = 18
 MIN_VALID = 0.5  # least share of a template's pixels that were measured, where part of the frame is masked
+MAX_DISTANCES = 1000
+"""Most distances of the search, 100 m of floor: each costs a bank."""
 RANGE_STEP_M = 0.1  # templates 0.3 m off in distance lose 10 points of accuracy
 DECIMATION = 4  # range bins that are one in that search
 HYPOTHESES = 2
@@ -135,10 +145,12 @@ class Recognizer:
     def __init__(self, mesh: Mesh, sonar: Sonar, yaw_bins: int = YAW_BINS) -> None:
         """Banks of `yaw_bins` templates over the full circle are rendered when a frame first needs them.
 
-        Raises SonarjaxError when no distance is in view, or for fewer than 4 bins: peaks over yaw need neighbours.
+        Raises SonarjaxError when no distance is in view or too many are, when the mesh is larger than the sonar sees
+        far, or for fewer than 4 bins: peaks over yaw need neighbours.
         """
         if yaw_bins < 4:
             raise SonarjaxError(f"yaw_bins: expected 4 or more, got {yaw_bins}")
+        check_fits(mesh, sonar, "target")
         self.mesh, self.sonar, self.yaw_bins = mesh, sonar, yaw_bins
         self._banks: dict[tuple[int, bool, bool], _Entry | None] = {}
         self._distances = _ground_ranges(sonar)
@@ -226,7 +238,10 @@ def _rounded_up(templates: np.ndarray, frame: tuple[int, int]) -> np.ndarray:
 
 
 def _ground_ranges(sonar: Sonar) -> np.ndarray:
-    """Distances [m] at which a floor object can be in view, RANGE_STEP_M apart."""
+    """Distances [m] at which a floor object can be in view, RANGE_STEP_M apart.
+
+    Raises SonarjaxError when there is none, or there are more than MAX_DISTANCES.
+    """
     height, half = float(sonar.height), float(sonar.elevation_aperture) / 2
     steep, flat = float(sonar.tilt) + half, max(float(sonar.tilt) - half, 1e-3)
     if steep <= 0:
@@ -235,6 +250,13 @@ def _ground_ranges(sonar: Sonar) -> np.ndarray:
     farthest = min(height / math.tan(flat), _ground(float(sonar.range_max), height))
     if farthest <= nearest:
         raise SonarjaxError("sonar: no part of the floor is inside its aperture and range window")
+    count = math.ceil((farthest - nearest) / RANGE_STEP_M) + 1
+    if count > MAX_DISTANCES:
+        raise SonarjaxError(
+            f"sonar: the floor in view reaches from {nearest:.4g} to {farthest:.4g} m, {count} distances of "
+            f"{RANGE_STEP_M:g} m; expected at most {MAX_DISTANCES}: give a narrower range_min_m to range_max_m, "
+            "or more tilt_deg"
+        )
     return np.arange(nearest, farthest + RANGE_STEP_M, RANGE_STEP_M)
 
 

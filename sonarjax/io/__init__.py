@@ -18,6 +18,7 @@ from sonarjax.io.jsonlines import JsonLines
 from sonarjax.io.load import iter_frames, read_frames, split_spec
 from sonarjax.io.npy import PIXEL_LIMIT
 from sonarjax.io.oculus import parse_oculus
+from sonarjax.io.outputs import check_label_files, check_outputs
 from sonarjax.io.toml import parse_toml, read_toml
 
 __all__ = [
@@ -28,6 +29,8 @@ __all__ = [
     "PIXEL_LIMIT",
     "SonarjaxError",
     "aris_azimuth_deg",
+    "check_label_files",
+    "check_outputs",
     "describe",
     "didson_azimuth_deg",
     "iter_frames",

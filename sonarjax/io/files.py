@@ -14,21 +14,54 @@ def reason(error: Exception) -> str:
     return " ".join(text.split()) or type(error).__name__
 
 
-def read_bytes(path: str | os.PathLike[str], allow_empty: bool = False) -> bytes:
-    """The content of a file. Raises SonarjaxError when it is missing, a folder, a device, unreadable or empty."""
+FILE_LIMIT = 16 * 2**30
+"""Largest file that is read, 16 GiB [bytes]: files are read whole. Half of the machine's memory where that is less."""
+
+
+def size_limit() -> int:
+    """Largest file that this machine can hold in memory, and no more than `FILE_LIMIT` [bytes]."""
+    try:
+        memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, OSError, ValueError):  # not every system tells
+        return FILE_LIMIT
+    return min(FILE_LIMIT, memory // 2) if memory > 0 else FILE_LIMIT
+
+
+def readable_size(size: int) -> str:
+    """A size [bytes] for messages, such as `1.5 GiB`."""
+    power = min(max(size.bit_length() - 1, 0) // 10, 3)
+    return f"{size / 1024**power:.4g} {('bytes', 'KiB', 'MiB', 'GiB')[power]}"
+
+
+def check_size(name: str, size: int, limit: int) -> None:
+    """Raises SonarjaxError when a file of `size` bytes is larger than `limit` [bytes]."""
+    if size > limit:
+        raise SonarjaxError(
+            f"{name}: the file is too large: expected at most {readable_size(limit)}, got {readable_size(size)}"
+        )
+
+
+def read_bytes(path: str | os.PathLike[str], allow_empty: bool = False, limit: int | None = None) -> bytes:
+    """The content of a file of at most `limit` bytes (by default what `size_limit` says).
+
+    Raises SonarjaxError when it is missing, a folder, a device, unreadable, empty or too large.
+    """
     name = os.fspath(path)
     try:
-        mode = os.stat(name).st_mode
-        if stat.S_ISDIR(mode):
+        status = os.stat(name)
+        if stat.S_ISDIR(status.st_mode):
             raise SonarjaxError(f"{name}: expected a file, this is a folder")
-        if not stat.S_ISREG(mode):  # a device or a pipe might never end
+        if not stat.S_ISREG(status.st_mode):  # a device or a pipe might never end
             raise SonarjaxError(f"{name}: expected a regular file")
+        check_size(name, status.st_size, size_limit() if limit is None else min(limit, size_limit()))
         with open(name, "rb") as file:
             data = file.read()
     except FileNotFoundError as error:
         raise SonarjaxError(f"{name}: no such file") from error
     except SonarjaxError:
         raise
+    except MemoryError as error:
+        raise SonarjaxError(f"{name}: the file is too large for the free memory") from error
     except (OSError, ValueError) as error:  # ValueError: a path with a NUL character
         raise SonarjaxError(f"{name!r}: cannot be read: {reason(error)}") from error
     if not data and not allow_empty:

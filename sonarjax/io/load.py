@@ -27,6 +27,14 @@ PARSERS: dict[str, Parser] = {
 """File ending -> `parse(content, name, index)`, a generator of frames."""
 
 
+RECORDINGS = (".aris", ".ddf", ".raw")
+"""Endings of files that may hold several frames."""
+PICTURE_LIMIT = 4 * 2**30
+"""Largest .npz, .npy or .png that is read, 4 GiB [bytes]: room for eight arrays of `PIXEL_LIMIT` doubles."""
+SIZE_LIMITS = {".npz": PICTURE_LIMIT, ".npy": PICTURE_LIMIT, ".png": PICTURE_LIMIT}
+"""File ending -> limit [bytes]; recordings are bounded by memory only."""
+
+
 def split_spec(spec: str | os.PathLike[str]) -> tuple[str, int | None]:
     """Path and frame number of `path` or `path:N`; a file that really has such a name wins."""
     name = os.fspath(spec)
@@ -45,7 +53,9 @@ def iter_frames(spec: str | os.PathLike[str]) -> Iterator[Frame]:
     ending = os.path.splitext(path)[1].lower()
     if ending not in PARSERS and os.path.isfile(path):
         raise SonarjaxError(f"{path}: unknown ending {ending!r}: expected one of {', '.join(PARSERS)}")
-    data = read_bytes(path)  # says what is wrong with a folder or a missing file, whatever its ending
+    data = read_bytes(
+        path, limit=SIZE_LIMITS.get(ending)
+    )  # says what is wrong with a folder or a missing file, whatever its ending
     yield from PARSERS[ending](data, path, index)
 
 

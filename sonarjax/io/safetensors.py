@@ -12,6 +12,7 @@ import numpy as np
 from sonarjax.io.atomic import PathLike, write_atomic
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.files import read_bytes, reason
+from sonarjax.io.nesting import check_nesting
 
 ABOUT = "sonarjax"
 """The one key of the metadata, a JSON object: several keys would be stored in an order that changes from run to run."""
@@ -51,4 +52,5 @@ def read_safetensors(path: PathLike) -> tuple[dict[str, np.ndarray], dict[str, A
         raise SonarjaxError(f"{name}: expected a complete safetensors file: {reason(error)}") from error
     if not isinstance(about, dict):
         raise SonarjaxError(f"{name}: metadata: {ABOUT}: expected a JSON object")
+    check_nesting(about, f"{name}: metadata")
     return arrays, about

@@ -15,6 +15,7 @@ from sonarjax.io.errors import SonarjaxError
 from sonarjax.render.frame import RenderQuality, SonarFrame, Window
 from sonarjax.render.window import render_window
 from sonarjax.scene import Mesh, Pose
+from sonarjax.scene.limits import check_pose
 from sonarjax.sonar import Sonar
 
 
@@ -32,8 +33,11 @@ def render(
     vmap, grad and jacfwd, the visibility included. Outside a trace room is made where a slice crosses more triangles
     than the mesh has room for; inside, `overflow` of the frame counts them.
 
-    Raises SonarjaxError when the numbers of meshes and poses differ.
+    Raises SonarjaxError when the numbers of meshes and poses differ, or a pose that is known (not traced) is not finite
+    or absurdly far away.
     """
+    for one in [pose] if isinstance(pose, Pose) else pose:
+        check_pose(one)
     if not isinstance(mesh, Mesh):
         mesh, pose = place_together(mesh, pose)
     assert isinstance(pose, Pose)

@@ -20,9 +20,10 @@ from jaxtyping import Array, Bool, Float, Int
 
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.records import record, static
+from sonarjax.scene.limits import check_coordinates, check_face_count
+from sonarjax.scene.mesh_file import check_mesh_file, reading_problem
 from sonarjax.scene.slicing import has_crossing_triangles, most_crossings, most_front
 
-LARGEST_EXTENT_M = 100.0  # an object longer than this is taken for one drawn in millimetres
 CREASE_ANGLE = math.radians(20.0)  # edges sharper than this count as edges of the body, not of its tessellation
 MAX_CREASE_VERTICES = 64
 CHECKED_FACES = 1000  # larger meshes are taken to pass through themselves: to check them takes seconds
@@ -60,7 +61,8 @@ class Mesh:
         """Read a surface in any format trimesh reads (STL, OBJ, PLY, GLB, 3MF, OFF, …).
 
         `unit_m` is the length of the file's unit [m]; by default the file's own unit where it has one, else metres.
-        Raises SonarjaxError when the file is missing, empty, not a surface, or far too large to be in metres.
+        Raises SonarjaxError when the file is missing, empty, too large, corrupt or not a surface, and when its
+        coordinates cannot be metres (`sonarjax.scene.limits`).
         """
         path = Path(path)
         if path.is_dir():
@@ -73,18 +75,23 @@ class Mesh:
             raise SonarjaxError(f"{path}: unit_m must be a positive number of metres, got {unit_m}")
         vertices, faces, unit = _read_surface(path)
         scale = unit_m if unit_m is not None else _UNIT_M.get(unit or "", 1.0)
-        return cls.from_arrays(vertices * scale, faces, name=str(path))
+        with np.errstate(over="ignore"):  # `from_arrays` refuses infinite vertices
+            vertices = vertices.astype(np.float64) * scale
+        return cls.from_arrays(vertices, faces, name=str(path))
 
     @classmethod
     def from_arrays(cls, vertices: Any, faces: Any, name: str = "mesh") -> Mesh:
         """A mesh from vertices (vertex, 3) [m] and triangles (face, 3); `name` is used in messages.
 
-        Raises SonarjaxError when there is no triangle, a value is not finite, an index is out of range, or the
-        extent says that the coordinates are not metres.
+        Raises SonarjaxError when there is no triangle or more than `MAX_FACES`, a value is not finite, an index is out
+        of range, or the extent says that the coordinates are not metres.
         """
-        vertices = np.asarray(vertices, np.float64)
-        faces = np.asarray(faces, np.int64)
+        vertices, faces = np.asarray(vertices), np.asarray(faces)
+        check_face_count(len(np.atleast_1d(faces)), name)  # before anything is copied
+        vertices, faces = vertices.astype(np.float64), faces.astype(np.int64)
         _check(vertices, faces, name)
+        vertices, faces = _used(vertices, faces)
+        check_coordinates(vertices, name)
         surface = trimesh.Trimesh(vertices, faces, process=False, validate=False)
         surface.merge_vertices()
         surface.update_faces(surface.nondegenerate_faces())
@@ -176,7 +183,10 @@ _UNIT_M = {
 
 def _read_surface(path: Path) -> tuple[np.ndarray, np.ndarray, str | None]:
     try:
+        check_mesh_file(path)
         loaded = trimesh.load(path, process=False)
+        if isinstance(loaded, trimesh.Scene):  # one small geometry may stand in a scene a million times
+            check_face_count(_faces_of_scene(loaded), str(path))
         surface = loaded.to_mesh() if isinstance(loaded, trimesh.Scene) else loaded
         if not isinstance(surface, trimesh.Trimesh):
             raise SonarjaxError(f"{path}: holds a {type(surface).__name__}, expected a surface of triangles")
@@ -185,8 +195,12 @@ def _read_surface(path: Path) -> tuple[np.ndarray, np.ndarray, str | None]:
     except SonarjaxError:
         raise
     except Exception as error:  # trimesh's readers raise whatever their format's parser raises
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise SonarjaxError(f"{path}: cannot be read as a mesh ({reason})") from error
+        raise reading_problem(path, error) from error
+
+
+def _faces_of_scene(scene: trimesh.Scene) -> int:
+    geometries = (scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry)
+    return sum(len(getattr(geometry, "faces", ())) for geometry in geometries)
 
 
 def _check(vertices: np.ndarray, faces: np.ndarray, name: str) -> None:
@@ -200,11 +214,12 @@ def _check(vertices: np.ndarray, faces: np.ndarray, name: str) -> None:
         raise SonarjaxError(f"{name}: vertices hold NaN or infinite values")
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise SonarjaxError(f"{name}: a triangle refers to a vertex that does not exist")
-    extent = float(np.ptp(vertices[np.unique(faces)], axis=0).max())
-    if extent > LARGEST_EXTENT_M:
-        raise SonarjaxError(
-            f"{name}: the mesh is {extent:.0f} m long; expected metres (in millimetres? then give unit_m=0.001)"
-        )
+
+
+def _used(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The vertices that triangles refer to, in their order, and the triangles with the new indices."""
+    kept, renumbered = np.unique(faces, return_inverse=True)
+    return vertices[kept], renumbered.reshape(faces.shape)
 
 
 def _padded(surface: trimesh.Trimesh, closed: bool) -> Mesh:

@@ -51,8 +51,10 @@ def most_front(vertices: Float[np.ndarray, "vertex 3"], faces: Int[np.ndarray, "
     k = np.arange(directions) + 0.5
     z, angle = 1 - 2 * k / directions, math.pi * (1 + 5**0.5) * k
     planar = np.sqrt(1 - z * z)
-    seen = normals @ np.stack([planar * np.cos(angle), planar * np.sin(angle), z]) > 0
-    return min(math.ceil(int(seen.sum(axis=0).max()) * 1.1), len(faces))
+    towards = np.stack([planar * np.cos(angle), planar * np.sin(angle), z])
+    step = max(1, PAIRS_AT_ONCE // len(faces))  # all directions at once would take gigabytes for a fine mesh
+    seen = [(normals @ towards[:, k : k + step] > 0).sum(axis=0).max() for k in range(0, directions, step)]
+    return min(math.ceil(int(max(seen)) * 1.1), len(faces))
 
 
 def has_crossing_triangles(vertices: Float[np.ndarray, "vertex 3"], faces: Int[np.ndarray, "face 3"]) -> bool:

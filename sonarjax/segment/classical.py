@@ -15,6 +15,8 @@ MEDIANS = {"otsu": 3, "median-otsu": 5}
 """Side of the median filter before the thresholds [pixel]."""
 GREY = np.array([0.5, 1.0, 0.0], np.float32)
 """Grey value of each label: background, highlight, shadow."""
+HISTOGRAM_BINS = 256
+"""Bins of the histogram from which Otsu's thresholds are found."""
 
 
 def threshold_labels(
@@ -31,6 +33,7 @@ def threshold_labels(
     measured = np.ones(image.shape, bool) if mask is None else np.asarray(mask, bool)
     if name in MEDIANS:
         image = median_filter(image, np.ones((MEDIANS[name], MEDIANS[name])))
+    image = image.astype(np.float64)  # a threshold between two neighbouring float32 values must not round to either
     low, high = _thresholds(image[measured], name)
     labels = np.where(image > high, 1, np.where(image <= low, 2, 0))
     return np.where(measured, labels, 0).astype(np.uint8)
@@ -62,7 +65,34 @@ def _one_threshold(values: Float[np.ndarray, " pixel"]) -> tuple[float, float]:
 
 
 def _two_thresholds(values: Float[np.ndarray, " pixel"]) -> tuple[float, float]:
-    if len(np.unique(values)) < 3:
-        return float(values.min()) - 1.0, float(values.max())
-    low, high = threshold_multiotsu(values, classes=3)
+    levels = np.unique(values)
+    if len(levels) < 3:
+        return float(levels[0]) - 1.0, float(levels[-1])
+    if len(levels) == 3:  # each is a class; the middle of a histogram's bin may lie on the wrong side of its value
+        return float(levels[0]), float(levels[1])
+    if np.count_nonzero(np.histogram(values, bins=HISTOGRAM_BINS)[0]) < 3:
+        return _split_groups(values, float(levels[0] + levels[-1]) / 2)
+    low, high = threshold_multiotsu(values, classes=3, nbins=HISTOGRAM_BINS)
     return float(low), float(high)
+
+
+def _split_groups(values: Float[np.ndarray, " pixel"], middle: float) -> tuple[float, float]:
+    """Thresholds of values that lie in two narrow groups, below and above `middle`.
+
+    A histogram shows two values there, too few for three classes. One threshold keeps the groups apart, the other is
+    Otsu's threshold inside one group: the group where it adds more to the variance between classes.
+    """
+    lower, upper = values[values <= middle], values[values > middle]
+    (gain, inside), (gain_upper, inside_upper) = _one_split(lower), _one_split(upper)
+    border = float(lower.max())
+    return (inside, border) if gain >= gain_upper else (border, inside_upper)
+
+
+def _one_split(values: Float[np.ndarray, " pixel"]) -> tuple[float, float]:
+    """Variance between the classes of Otsu's threshold, times the number of values, and that threshold."""
+    if values.min() == values.max():
+        return 0.0, float(values[0])
+    threshold = float(threshold_otsu(values))
+    above = values > threshold
+    gap = float(values[above].mean() - values[~above].mean())
+    return gap**2 * above.sum() * (~above).sum() / len(values), threshold

@@ -12,42 +12,53 @@ import jax
 import numpy as np
 
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.header import RANGE_LIMIT_M
 from sonarjax.sonar.model import Sonar
 
 MAX_RANGES = 100_000
 """More range bins than any device stores: taken for a mistake."""
 MAX_BEAMS = 10_000
 """More beams than any device forms: taken for a mistake."""
+MAX_PIXELS = 2**24
+"""Most pixels of an image, beams times range bins, eight times the largest device's: rendering 10⁹ ends the process."""
+MIN_RANGE_BIN_M = 1e-6
+"""Shortest range bin [m]; at 3 MHz a wave is 500 times as long."""
+FLOOR_LIMIT_M = 1e5
+"""Largest coordinate and side of a floor patch [m]: beyond the farthest range a patch is as good as endless."""
+SMALLEST = float(np.finfo(np.float32).tiny)
+"""Smaller numbers are 0 in the renderer's arithmetic."""
 
 
 class _Rule(NamedTuple):
     field: str
     holds: Callable[[np.ndarray], Any]
     expected: str
+    most: float | None = None  # upper limit of the size, in the unit of `expected`; None where `holds` has one
+    unit: str = ""
     degrees: bool = False  # the field is in radians; judged and reported in degrees
 
 
 _RULES = (
-    _Rule("range_min", lambda v: v >= 0, "0 m or more"),
-    _Rule("range_max", lambda v: v > 0, "more than 0 m"),
+    _Rule("range_min", lambda v: v >= 0, "0 m or more", RANGE_LIMIT_M, " m"),
+    _Rule("range_max", lambda v: v > 0, "more than 0 m", RANGE_LIMIT_M, " m"),
     _Rule("elevation_aperture", lambda v: (v > 0) & (v < 180), "between 0° and 180°", degrees=True),
     _Rule("tilt", lambda v: abs(v) <= 90, "between -90° and 90°", degrees=True),
     _Rule("roll", lambda v: abs(v) <= 180, "between -180° and 180°", degrees=True),
-    _Rule("height", lambda v: v > 0, "more than 0 m"),
-    _Rule("frequency", lambda v: v > 0, "more than 0 Hz"),
-    _Rule("sound_speed", lambda v: v > 0, "more than 0 m/s"),
-    _Rule("pulse_length", lambda v: v >= 0, "0 m or more"),
+    _Rule("height", lambda v: v > 0, "more than 0 m", RANGE_LIMIT_M, " m"),
+    _Rule("frequency", lambda v: v > 0, "more than 0 Hz", 1e9, " Hz"),
+    _Rule("sound_speed", lambda v: v > 0, "more than 0 m/s", 1e5, " m/s"),
+    _Rule("pulse_length", lambda v: v >= 0, "0 m or more", RANGE_LIMIT_M, " m"),
     _Rule("beam_width", lambda v: (v >= 0) & (v < 180), "between 0° and 180°", degrees=True),
-    _Rule("spreading_exponent", lambda v: v >= 0, "0 or more"),
-    _Rule("absorption", lambda v: v >= 0, "0 dB/m or more"),
-    _Rule("lambert", lambda v: v >= 0, "0 or more"),
+    _Rule("spreading_exponent", lambda v: v >= 0, "0 or more", 10.0),
+    _Rule("absorption", lambda v: v >= 0, "0 dB/m or more", 1e3, " dB/m"),
+    _Rule("lambert", lambda v: v >= 0, "0 or more", 100.0),
     _Rule("highlight_max_incidence", lambda v: (v > 0) & (v <= 90), "above 0°, up to 90°"),
 )
 _FLOOR_RULES = (
-    _Rule("x", np.isfinite, "a finite number"),
-    _Rule("y", np.isfinite, "a finite number"),
-    _Rule("length", lambda v: v > 0, "more than 0 m"),
-    _Rule("width", lambda v: v > 0, "more than 0 m"),
+    _Rule("x", np.isfinite, "a finite number", FLOOR_LIMIT_M, " m"),
+    _Rule("y", np.isfinite, "a finite number", FLOOR_LIMIT_M, " m"),
+    _Rule("length", lambda v: v > 0, "more than 0 m", FLOOR_LIMIT_M, " m"),
+    _Rule("width", lambda v: v > 0, "more than 0 m", FLOOR_LIMIT_M, " m"),
     _Rule("yaw", lambda v: abs(v) <= 360, "between -360° and 360°", degrees=True),
 )
 
@@ -56,7 +67,8 @@ def check_sonar(sonar: Sonar, source: str, names: Mapping[str, str] | None = Non
     """The same sonar, when every value is possible; `source` and `names` (field -> key) are used in messages.
 
     Raises SonarjaxError naming the first field that is not: a wrong type, NaN or infinite, out of its limits, azimuths
-    that do not ascend, or a window that ends before it starts. Traced values are not judged.
+    that do not ascend, too many pixels, or a window that ends before it starts or whose range bins float32 cannot tell
+    apart. Traced values are not judged.
     """
     names = names or {}
     for rule in _RULES:
@@ -67,6 +79,7 @@ def check_sonar(sonar: Sonar, source: str, names: Mapping[str, str] | None = Non
             _check_number(getattr(sonar.floor, rule.field), rule, source, names.get(field, field))
     check_count(sonar.n_ranges, source, names.get("n_ranges", "n_ranges"))
     check_azimuth(sonar.azimuth, source, names.get("azimuth", "azimuth"))
+    _check_pixels(sonar, source)
     _check_window(sonar, source, names)
     return sonar
 
@@ -82,10 +95,12 @@ def _check_number(value: Any, rule: _Rule, source: str, name: str) -> None:
     if numbers is None or numbers.size == 0:
         raise SonarjaxError(f"{source}: {name} must be a number, got {value!r}")
     shown = np.round(np.degrees(numbers), 6) if rule.degrees else numbers
-    if not (np.isfinite(numbers).all() and np.all(rule.holds(shown))):
-        unit = "°" if rule.degrees else ""
-        values = shown.tolist() if shown.ndim else f"{shown.item():g}"
-        raise SonarjaxError(f"{source}: {name} must be {rule.expected}, got {values}{unit}")
+    judged = np.where(np.abs(shown) < SMALLEST, 0.0, shown)
+    values = f"{shown.tolist() if shown.ndim else f'{shown.item():g}'}{'°' if rule.degrees else ''}"
+    if not (np.isfinite(numbers).all() and np.all(rule.holds(judged))):
+        raise SonarjaxError(f"{source}: {name} must be {rule.expected}, got {values}")
+    if rule.most is not None and (np.abs(shown) > rule.most).any():
+        raise SonarjaxError(f"{source}: {name} must be at most {rule.most:g}{rule.unit}, got {values}")
 
 
 def as_numbers(value: Any) -> np.ndarray | None:
@@ -122,10 +137,26 @@ def check_azimuth(azimuth: Any, source: str, name: str = "azimuth") -> None:
         raise SonarjaxError(f"{source}: {name} must strictly ascend, but beam {wrong[0] + 1} does not")
 
 
+def _check_pixels(sonar: Sonar, source: str) -> None:
+    beams, ranges = sonar.n_beams, int(sonar.n_ranges)
+    if beams * ranges > MAX_PIXELS:
+        raise SonarjaxError(
+            f"{source}: n_ranges times n_beams must be at most {MAX_PIXELS}, got {ranges} x {beams} = {ranges * beams}"
+        )
+
+
 def _check_window(sonar: Sonar, source: str, names: Mapping[str, str]) -> None:
     if _traced(sonar.range_min, sonar.range_max):
         return
-    near, far = np.asarray(sonar.range_min), np.asarray(sonar.range_max)
+    near, far = np.asarray(sonar.range_min, np.float64), np.asarray(sonar.range_max, np.float64)
+    first, last = (names.get(field, field) for field in ("range_min", "range_max"))
     if not np.all(near < far):
-        first, last = (names.get(field, field) for field in ("range_min", "range_max"))
         raise SonarjaxError(f"{source}: {first} must be less than {last}, got {near} and {far}")
+    # Two steps of float32 keep the edges of a bin apart, however both are rounded.
+    shortest = np.maximum(MIN_RANGE_BIN_M, 2 * np.spacing(far.astype(np.float32)).astype(np.float64))
+    bins = (far - near) / sonar.n_ranges
+    if np.any(bins < shortest):
+        raise SonarjaxError(
+            f"{source}: {first} and {last} must lie farther apart, got {near} and {far}: "
+            f"{sonar.n_ranges} range bins of {bins.min():.2g} m, expected at least {shortest.max():.2g} m each"
+        )

@@ -62,11 +62,19 @@ def rendered(place) -> Path:
 
 @pytest.fixture
 def stand_in(monkeypatch) -> SimpleNamespace:
-    """Stand-ins for the slow modules behind `segment` and `recognize`: they note calls, `interrupt` stops at one."""
-    state = SimpleNamespace(calls=[], interrupt=None)
+    """Stand-ins for the slow modules behind `segment` and `recognize`: they note calls.
+
+    `interrupt` stops at the call of that number, `failures` (number of a call -> exception) fails in it.
+    """
+    state = SimpleNamespace(calls=[], interrupt=None, failures={})
+
+    def note(call):
+        state.calls.append(call)
+        if len(state.calls) in state.failures:
+            raise state.failures[len(state.calls)]
 
     def recognize(image, mesh, sonar, **options):
-        state.calls.append(options)
+        note(options)
         if len(state.calls) == state.interrupt:
             raise KeyboardInterrupt
         if image.shape != sonar.shape:
@@ -77,7 +85,7 @@ def stand_in(monkeypatch) -> SimpleNamespace:
         return {"frame": frame, "score": result, "seconds": seconds, "yaw_std_deg": float("nan"), "schema": 1}
 
     def segment(image, name, mask=None):
-        state.calls.append(name)
+        note(name)
         return (image > 0.5).astype(np.uint8)
 
     def accept(mesh, sonar):

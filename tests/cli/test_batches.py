@@ -125,6 +125,57 @@ def test_an_interrupt_keeps_what_is_written(recognize, stand_in, place, tmp_path
     assert len(records) == 1
 
 
+FAILURES = [
+    (ValueError("bad\nvalue"), "ValueError: bad value"),
+    (MemoryError(), "MemoryError"),
+    (FloatingPointError("overflow"), "FloatingPointError: overflow"),
+    (RuntimeError("RESOURCE_EXHAUSTED: out of memory"), "RuntimeError: RESOURCE_EXHAUSTED: out of memory"),
+    (OSError(5, "Input/output error"), "OSError: [Errno 5] Input/output error"),
+    (RecursionError("too deep"), "RecursionError: too deep"),
+]
+
+
+@pytest.mark.parametrize(("failure", "said"), FAILURES, ids=[said.split(":")[0] for _, said in FAILURES])
+def test_any_failure_of_one_frame_is_its_error_line(recognize, stand_in, place, tmp_path, failure, said):
+    stand_in.failures = {2: failure}
+    frames = [str(place / name) for name in ("a.npz", "b.npy", "a.npz")]
+    code, err, records = recognize(frames, tmp_path / "r.jsonl")
+    assert code == 1
+    assert records[1] == {"frame": frames[1], "error": f"{frames[1]}: {said}", "schema": 1}
+    assert err == f"sonarjax: error: {frames[1]}: {said}\n"
+    assert "score" in records[0] and "score" in records[2]
+
+
+@pytest.mark.parametrize(("failure", "said"), FAILURES, ids=[said.split(":")[0] for _, said in FAILURES])
+def test_segment_goes_on_after_any_failure(command, stand_in, place, tmp_path, failure, said):
+    stand_in.failures = {1: failure}
+    code, out, err = command("segment", place / "a.npz", place / "b.npy", "--out-dir", tmp_path / "labels")
+    assert (code, out, err) == (1, "", f"sonarjax: error: {place}/a.npz: {said}\n")
+    assert os.listdir(tmp_path / "labels") == ["labels_b.npz"]
+
+
+@pytest.mark.parametrize(("failure", "expected"), [(KeyboardInterrupt(), 130), (BrokenPipeError(), 141)])
+def test_what_still_stops_a_batch(recognize, command, stand_in, place, tmp_path, monkeypatch, failure, expected):
+    monkeypatch.setattr("sonarjax.cli._silence_stdout", lambda: None)
+    stand_in.failures = {2: failure, 4: failure}
+    frames = [place / "a.npz", place / "b.npy", place / "a.npz"]
+    code, _, records = recognize(frames, tmp_path / "r.jsonl")
+    assert (code, len(records)) == (expected, 1)
+    assert command("segment", *frames, "--out-dir", tmp_path / "labels")[0] == expected
+    assert os.listdir(tmp_path / "labels") == ["labels_a.npz"]
+
+
+@pytest.mark.parametrize("ending", [".aris", ".ddf", ".raw", ".npz", ".npy", ".png"])
+def test_a_file_larger_than_memory_is_an_error_line(recognize, stand_in, place, tmp_path, ending):
+    huge = tmp_path / f"huge{ending}"
+    huge.touch()
+    os.truncate(huge, 2**40)  # sparse: it takes no space on the disk
+    code, _, records = recognize([huge, place / "b.npy"], tmp_path / "r.jsonl")
+    assert code == 1
+    assert records[0]["error"].startswith(f"{huge}: the file is too large")
+    assert "score" in records[1]
+
+
 @pytest.mark.parametrize(
     ("option", "value", "said"),
     [
@@ -149,6 +200,25 @@ def test_what_stops_a_batch(complaint, stand_in, place, tmp_path, option, value,
     message = complaint(2, "recognize", place / "a.npz", *[part for pair in options.items() for part in pair])
     assert any(words in message.lower() for words in said.lower().split("|"))
     assert not out.exists()
+
+
+@pytest.mark.parametrize("name", ["a.npz", "brick.stl", "sonar.toml"])
+def test_results_never_take_the_place_of_an_input(complaint, stand_in, place, tmp_path, name):
+    before = (place / name).read_bytes()
+    os.symlink(place / name, tmp_path / "link")
+    for out in (place / name, tmp_path / "link"):
+        target = ["--target", place / "brick.stl", "--sonar", place / "sonar.toml", "--out", out]
+        assert "would overwrite the input" in complaint(2, "recognize", place / "a.npz", *target)
+    assert (place / name).read_bytes() == before
+
+
+def test_labels_never_take_the_place_of_an_input(complaint, stand_in, place, tmp_path):
+    for name in ("a.npz", "labels_a.npz"):
+        (tmp_path / name).write_bytes((place / "a.npz").read_bytes())
+    frames = [tmp_path / "labels_a.npz", tmp_path / "a.npz"]
+    assert "would overwrite the input" in complaint(2, "segment", *frames, "--out-dir", tmp_path)
+    assert sorted(os.listdir(tmp_path)) == ["a.npz", "labels_a.npz"]
+    assert frames[0].read_bytes() == frames[1].read_bytes()
 
 
 def test_segment_writes_labels_by_stem(command, stand_in, place, tmp_path):

@@ -50,14 +50,33 @@ def test_without_refinement_yaw_is_the_bin(recognize, rendered, tmp_path):
     assert "error" in wide
 
 
+def test_an_object_larger_than_the_view_is_refused_at_once(complaint, place, tmp_path):
+    """9 cm drawn in millimetres: as metres it passes for an object of 90 m."""
+    part, out = tmp_path / "part.stl", tmp_path / "r.jsonl"
+    part.write_text(
+        (place / "brick.stl").read_text().replace("0.19", "90").replace("0.045", "20").replace("0.057", "9")
+    )
+    files = ["--sonar", place / "sonar.toml", "--out", out]
+    said = complaint(2, "recognize", place / "a.npz", "--target", part, *files)
+    assert f"{part}: the mesh is " in said and "--unit-m 0.001" in said and "range ends at 4 m" in said
+    said = complaint(2, "render", part, "--x", 2, "--y", 0, "--yaw-deg", 0, *files)
+    assert f"{part}: the mesh is " in said and "--unit-m 0.001" in said
+    assert not out.exists()
+
+
 @pytest.mark.parametrize(
     "changes",
     [
         {"range_min_m = 1.5": "range_min_m = 0.2", "range_max_m = 4.0": "range_max_m = 0.5"},  # ends above the floor
         {"tilt_deg = 20.0": "tilt_deg = -30.0"},  # looks up
+        {
+            "tilt_deg = 20.0": "tilt_deg = 7.0",
+            "height_m = 0.9": "height_m = 100.0",
+            "range_max_m = 4.0": "range_max_m = 1000.0",
+        },
     ],
 )
-def test_a_sonar_that_sees_no_floor_is_refused_at_once(complaint, place, rendered, tmp_path, changes):
+def test_a_sonar_that_sees_no_floor_or_too_much_is_refused_at_once(complaint, place, rendered, tmp_path, changes):
     sonar, out = tmp_path / "blind.toml", tmp_path / "r.jsonl"
     text = (place / "sonar.toml").read_text()
     for old, new in changes.items():
@@ -65,5 +84,6 @@ def test_a_sonar_that_sees_no_floor_is_refused_at_once(complaint, place, rendere
         text = text.replace(old, new)
     sonar.write_text(text)
     files = ["--target", place / "brick.stl", "--sonar", sonar, "--out", out]
-    assert "floor" in complaint(2, "recognize", rendered, *files)
+    said = complaint(2, "recognize", rendered, *files)
+    assert "floor" in said and str(sonar) in said
     assert not out.exists()

@@ -114,3 +114,15 @@ def test_an_old_frame_survives_a_failed_render(complaint, place, tmp_path):
     out.write_bytes(b"old")
     complaint(2, "render", place / "absent.stl", "--sonar", place / "sonar.toml", *POSE, "--out", out)
     assert out.read_bytes() == b"old"
+
+
+@pytest.mark.parametrize(
+    ("out", "png"), [("brick.stl", None), ("sonar.toml", None), ("n.npz", "n.npz"), ("n", "brick.stl")]
+)
+def test_outputs_that_name_an_input_or_each_other(complaint, place, out, png):
+    before = {name: (place / name).read_bytes() for name in ("brick.stl", "sonar.toml")}
+    picture = [] if png is None else ["--png", place / png]
+    arguments = ["--sonar", place / "sonar.toml", *POSE, "--out", place / out, *picture]
+    assert "expected another file" in complaint(2, "render", place / "brick.stl", *arguments)
+    assert before == {name: (place / name).read_bytes() for name in before}
+    assert not (place / "n.npz").exists() and not (place / "n").exists()

@@ -104,3 +104,34 @@ def test_describe(make, saved):
     assert "PNG" in describe(saved("a.png", make.png((UNIT * 255).astype(np.uint8))))
     labels = describe(saved("l.npz", make.npz(labels=np.zeros((2, 3), np.uint8), odd=np.array([None]))))
     assert "uint8 (2, 3)" in labels and "array odd" in labels
+
+
+@pytest.mark.parametrize(
+    "content", [b".".join([b"a"] * 3000) + b" = 1", b"[" + b".".join([b"a"] * 3000) + b"]\nb = 1"], ids=["key", "table"]
+)
+def test_deeply_nested_toml(saved, content):
+    path = saved("s.toml", content)
+    for read in (read_toml, describe):
+        with pytest.raises(SonarjaxError, match="at most 64 levels") as caught:
+            read(path)
+        assert str(caught.value).startswith(path) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("ending", [".aris", ".ddf", ".raw", ".npz", ".npy", ".png", ".toml"])
+def test_a_file_larger_than_memory(saved, ending):
+    path = saved(f"huge{ending}", b"x")
+    os.truncate(path, 2**40)  # sparse: it takes no space on the disk
+    with pytest.raises(SonarjaxError, match="too large: expected at most .*iB, got 1024 GiB") as caught:
+        read_toml(path) if ending == ".toml" else read_frames(path)
+    assert str(caught.value).startswith(path) and "\n" not in str(caught.value)
+
+
+def test_memory_that_does_not_suffice_is_said(saved, monkeypatch):
+    path = saved("a.npy", b"x")
+
+    def full(*_):
+        raise MemoryError
+
+    monkeypatch.setattr("builtins.open", full)
+    with pytest.raises(SonarjaxError, match="a.npy: the file is too large for the free memory"):
+        read_frames(path)

@@ -49,6 +49,31 @@ def test_a_constant_frame_and_what_was_not_measured(name: str, rng: np.random.Ge
     assert not segment(image, name, mask)[:30].any()
 
 
+@pytest.mark.parametrize(
+    "levels", [(0, 30000, 65535), (10, 11, 40000), (10, 39999, 40000), (0, 1, 65535), (65533, 65534, 65535)]
+)
+@pytest.mark.parametrize("name", ["otsu", "otsu3", "median-otsu"])
+def test_three_levels_of_16_bits_are_the_three_classes(name: str, levels: tuple[int, ...]) -> None:
+    shares = np.full((30, 30), levels[1], np.float32)
+    shares[:, :10], shares[:, 20:] = levels[0], levels[2]
+    labels = segment(shares / np.float32(65535), name)
+    assert (labels[:, 0] == 2).all() and (labels[:, 15] == 0).all() and (labels[:, -1] == 1).all()
+
+
+@pytest.mark.parametrize("offsets", [(0, 1, 2, 40000), (0, 39998, 39999, 40000)])
+def test_levels_in_two_narrow_groups(offsets: tuple[int, ...]) -> None:
+    """Multi-Otsu's histogram sees two values there; the thresholds are still those of largest variance."""
+    image = np.repeat(np.array(offsets, np.float32), 25).reshape(10, 10) / np.float32(65535)
+    found = [int(segment(image, "otsu3")[image == level][0]) for level in np.unique(image)]
+    assert found in ([[2, 0, 0, 1], [2, 2, 0, 1]] if offsets[1] == 1 else [[2, 0, 0, 1], [2, 0, 1, 1]])
+
+
+def test_values_one_rounding_apart_are_told_apart() -> None:
+    near = np.float32(0.5)
+    image = np.tile(np.array([near, np.nextafter(near, np.float32(1))], np.float32), (8, 4))
+    np.testing.assert_array_equal(segment(image, "otsu1"), image > near)
+
+
 def test_unknown_name() -> None:
     with pytest.raises(SonarjaxError, match="otsu3"):
         segment(np.zeros((4, 4), np.float32), "otsu2")

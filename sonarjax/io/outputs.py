@@ -1,0 +1,91 @@
+"""What a command will write, held against what it reads: an output never takes the place of an input or of another."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Mapping, Sequence
+
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.load import RECORDINGS, split_spec
+
+
+def check_outputs(outputs: Mapping[str, str | None], inputs: Iterable[str]) -> None:
+    """Raises SonarjaxError when an output would replace an input, or another output; call it before writing.
+
+    `outputs` maps the option to its path (None where it was not given), `inputs` are paths or frames as `path:N`.
+    Links are followed. A device such as /dev/null may be given twice.
+    """
+    given = [(option, path) for option, path in outputs.items() if path is not None]
+    sources = [split_spec(spec)[0] for spec in inputs]
+    for number, (option, path) in enumerate(given):
+        for source in sources:
+            if same_file(path, source):
+                raise SonarjaxError(f"{option}: {path!r} would overwrite the input {source!r}: expected another file")
+        for other, taken in given[:number]:
+            if same_file(path, taken):
+                raise SonarjaxError(f"{option}: {path!r} is also {other}: expected another file")
+
+
+def check_label_files(folder: str, specs: Sequence[str]) -> None:
+    """Raises SonarjaxError when `labels_<stem>.npz` in `folder` would replace an input, or serve two inputs.
+
+    `specs` are frames as `path` or `path:N`. How many frames a recording holds is not known yet: any number counts.
+    """
+    paths = list(dict.fromkeys(split_spec(spec)[0] for spec in specs))
+    stems = {_stem(path): path for path in paths}
+    recordings = {_stem(path) for path in paths if _is_recording(path)}
+    inputs = {identity: path for path in paths if (identity := _identity(path)) is not None}
+    for name in _label_names(folder):
+        identity = _identity(os.path.join(folder, name))
+        source = None if identity is None else inputs.get(identity)
+        stem = name.removeprefix("labels_").removesuffix(".npz")
+        numbered = re.sub("_[0-9]+$", "", stem)
+        if source is not None and (stem in stems or numbered in recordings):
+            frame = stems.get(stem) or stems[numbered]
+            raise SonarjaxError(f"{frame}: its labels would overwrite the input {source!r}: expected another folder")
+    _check_stems([path for path in paths if not _is_recording(path)])
+
+
+def _check_stems(paths: Sequence[str]) -> None:
+    """No two files of one frame each share a stem. Raises SonarjaxError."""
+    taken: dict[str, str] = {}
+    for path in paths:
+        other = taken.setdefault(_stem(path), path)
+        if other != path and not same_file(other, path):
+            raise SonarjaxError(f"{path}: its labels would overwrite those of {other}: same stem")
+
+
+def _stem(path: str) -> str:
+    return os.path.splitext(os.path.basename(path))[0]
+
+
+def _is_recording(path: str) -> bool:
+    return os.path.splitext(path)[1].lower() in RECORDINGS
+
+
+def _identity(path: str) -> tuple[int, int] | None:
+    """Device and number of a file, links followed; None where there is none."""
+    try:
+        status = os.stat(path)
+    except (OSError, ValueError):
+        return None
+    return status.st_dev, status.st_ino
+
+
+def _label_names(folder: str) -> list[str]:
+    """Names in `folder` that could be label files; none where it is missing, whoever makes it says what is wrong."""
+    try:
+        return [name for name in os.listdir(folder) if name.startswith("labels_") and name.endswith(".npz")]
+    except (OSError, ValueError):
+        return []
+
+
+def same_file(one: str, other: str) -> bool:
+    """True when both paths name one regular file, or will do when it is written; links are followed."""
+    try:
+        if os.path.exists(one) and os.path.exists(other):
+            return os.path.isfile(one) and os.path.samefile(one, other)
+        return os.path.realpath(one) == os.path.realpath(other)
+    except (OSError, ValueError):  # a path that cannot be: whoever opens it will say so
+        return False

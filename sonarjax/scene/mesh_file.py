@@ -1,0 +1,117 @@
+"""Mesh files before trimesh opens them: their size, what their headers announce, and why they cannot be read.
+
+A header of a few bytes can ask for any amount of memory, so what it announces is checked first. trimesh tries other
+readers on a corrupt file and reports the last one's trouble; the messages here name what is wrong with the file.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import struct
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.files import check_size, size_limit
+from sonarjax.scene.limits import MAX_FACES, check_face_count
+
+MESH_LIMIT = 512 * 2**20
+"""Largest mesh file, 512 MiB [bytes]: `MAX_FACES` triangles as text; a reader needs several times as much memory."""
+HEADER_BYTES = 4096
+"""How much of a file is looked at for its header [bytes]."""
+STL_HEADER, STL_FACE = 84, 50
+"""Size of the header and of a triangle of a binary STL file [bytes]."""
+PLAIN = (".stl", ".obj", ".ply", ".off", ".glb", ".gltf")
+"""Formats that trimesh reads without another package: an import that fails there is a text that cannot be decoded."""
+PACKED = (".gz", ".bz2", ".xz", ".tar", ".tgz")
+
+
+def check_mesh_file(path: Path) -> None:
+    """Raises SonarjaxError when a mesh file is too large, announces too much, or is cut off (where its size tells)."""
+    size = path.stat().st_size
+    check_size(str(path), size, min(MESH_LIMIT, size_limit()))
+    ending = path.suffix.lower()
+    if ending in PACKED:
+        raise SonarjaxError(f"{path}: expected a mesh file, this is packed: unpack it")
+    with open(path, "rb") as file:
+        start = file.read(HEADER_BYTES)
+    if ending == ".stl":
+        _check_stl(path, start, size)
+    elif ending == ".ply":
+        _check_ply(path, start)
+    elif ending in (".glb", ".gltf"):
+        _check_gltf(path, start)
+    elif start[:4] == b"PK\x03\x04":
+        _check_zip(path)
+
+
+def reading_problem(path: Path, error: Exception) -> SonarjaxError:
+    """The error to raise when trimesh could not read `path` and raised `error`: one line that names the file."""
+    ending = path.suffix.lower()
+    kind = ending.removeprefix(".").upper()
+    if isinstance(error, MemoryError):
+        return SonarjaxError(f"{path}: cannot be read as a mesh: too large for the free memory")
+    if isinstance(error, (ImportError, UnicodeError)) and ending in PLAIN:
+        return SonarjaxError(f"{path}: cannot be read as a mesh: corrupt, or not {kind} (its text is not UTF-8)")
+    if isinstance(error, ImportError):
+        return SonarjaxError(f"{path}: to read {kind} files the Python package {error.name} is needed")
+    reason = " ".join(str(error).split())[:160] or type(error).__name__
+    return SonarjaxError(f"{path}: cannot be read as a mesh ({reason})")
+
+
+def _check_stl(path: Path, start: bytes, size: int) -> None:
+    """A binary STL says how many triangles follow. One that opens with `solid` may be text, which trimesh reads."""
+    count = struct.unpack_from("<I", start, STL_HEADER - 4)[0] if len(start) >= STL_HEADER else 0
+    expected = STL_HEADER + STL_FACE * count
+    if size == expected:
+        check_face_count(count, str(path))
+    elif b"\0" in start or not start.lstrip().lower().startswith(b"solid"):
+        raise SonarjaxError(
+            f"{path}: not an STL file, or corrupt: as binary STL its header announces {count} triangles in {expected} "
+            f"bytes, the file has {size}; as text it would open with 'solid'"
+        )
+
+
+def _check_ply(path: Path, start: bytes) -> None:
+    for count in re.findall(rb"element\s+\w+\s+([0-9]{1,30})\s", start):
+        if int(count) > 3 * MAX_FACES:
+            check_face_count(int(count), f"{path}: header")
+
+
+def _check_gltf(path: Path, start: bytes) -> None:
+    """An accessor without data stands for so many zeros, whatever the size of the file."""
+    try:
+        with open(path, "rb") as file:
+            if start[:4] == b"glTF":
+                file.seek(20)  # after the file's header and that of its first chunk, the JSON
+                text = file.read(struct.unpack_from("<I", start, 12)[0])
+            else:
+                text = file.read()
+        counts = list(_accessor_counts(json.loads(text)))
+    except (ValueError, RecursionError, struct.error):
+        return  # trimesh will say what is wrong
+    if sum(counts) > 16 * MAX_FACES:
+        raise SonarjaxError(
+            f"{path}: accessors: expected at most {16 * MAX_FACES} values in all, the header announces {sum(counts)}"
+        )
+
+
+def _accessor_counts(header: Any) -> Iterator[int]:
+    accessors = header.get("accessors") if isinstance(header, dict) else None
+    for accessor in accessors if isinstance(accessors, list) else ():
+        count = accessor.get("count") if isinstance(accessor, dict) else None
+        if isinstance(count, int) and count > 0:
+            yield count
+
+
+def _check_zip(path: Path) -> None:
+    """A zipped format (3MF) may unpack to a thousand times its size."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            unpacked = sum(info.file_size for info in archive.infolist())
+    except (zipfile.BadZipFile, NotImplementedError, ValueError, OSError):
+        return  # trimesh will say what is wrong
+    check_size(f"{path}: unpacked", unpacked, min(MESH_LIMIT, size_limit()))

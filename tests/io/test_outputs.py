@@ -1,0 +1,64 @@
+"""An output never takes the place of an input or of another output, whatever the path or link that names it."""
+
+import os
+
+import pytest
+
+from sonarjax.io import SonarjaxError, check_label_files, check_outputs
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    """The current folder, with the inputs `m.stl`, `f.npz`, `r.aris` and links to the first."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("m.stl", "f.npz", "r.aris"):
+        (tmp_path / name).write_bytes(b"kept")
+    os.symlink("m.stl", "soft.stl")
+    os.link("m.stl", "hard.stl")
+    (tmp_path / "sub").mkdir()
+    return tmp_path
+
+
+@pytest.mark.parametrize("out", ["m.stl", "./m.stl", "sub/../m.stl", "soft.stl", "hard.stl"])
+def test_an_output_that_names_an_input(out, folder):
+    for path in (out, str(folder / out)):
+        with pytest.raises(SonarjaxError, match="--out: .* would overwrite the input 'm.stl'"):
+            check_outputs({"--out": path}, ["f.npz", "m.stl"])
+
+
+def test_a_frame_of_a_recording_names_its_file():
+    with pytest.raises(SonarjaxError, match="'r.aris'"):
+        check_outputs({"--out": "r.aris"}, ["r.aris:3"])
+
+
+def test_two_outputs_in_one_file():
+    for png in ("new.npz", "sub/../new.npz"):
+        with pytest.raises(SonarjaxError, match="--png: .* is also --out"):
+            check_outputs({"--out": "new.npz", "--png": png}, ["m.stl"])
+
+
+def test_outputs_that_are_fine():
+    check_outputs({"--out": "new.npz", "--png": None}, ["m.stl", "absent.toml", "nul\0"])
+    check_outputs({"--out": "/dev/null", "--png": "/dev/null"}, ["m.stl"])
+    check_outputs({"--out": "f.npz", "--png": "f.png"}, ["m.stl"])
+
+
+def test_labels_that_name_an_input(folder):
+    for name in ("labels_f.npz", "labels_r_12.npz"):
+        (folder / name).write_bytes(b"kept")
+    for specs in (["f.npz", "labels_f.npz"], ["labels_r_12.npz", "r.aris:12"]):
+        with pytest.raises(SonarjaxError, match="its labels would overwrite the input 'labels_"):
+            check_label_files(".", specs)
+        check_label_files("sub", specs)
+        check_label_files("absent", specs)
+    check_label_files(".", ["labels_f.npz"])
+    check_label_files(".", ["f.npz", "labels_r_12.npz"])
+    os.symlink("../f.npz", "sub/labels_f.npz")
+    with pytest.raises(SonarjaxError, match="'f.npz'"):
+        check_label_files("sub", ["f.npz"])
+
+
+def test_two_inputs_of_one_stem():
+    with pytest.raises(SonarjaxError, match="f.png: its labels would overwrite those of f.npz: same stem"):
+        check_label_files("sub", ["f.npz", "f.png"])
+    check_label_files("sub", ["f.npz", "./f.npz", "r.aris", "r.aris:3"])
