@@ -14,20 +14,31 @@ Conventions, everywhere in the package:
 - Random functions take a keyword-only `key`.
 """
 
-
+from sonarjax.engine import Engine
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.match import match_bank, match_positions
-
-
-from sonarjax.render import SonarFrame, TemplateBank, render, template_bank
-from sonarjax.scene import Mesh, Pose, objects
+from sonarjax.match import SearchConfig, match_bank, match_positions
+from sonarjax.recognize import Recognition, Recognizer, recognize
+from sonarjax.refine import RefineConfig, YawEstimate, plan_refinement, refine_yaw
+from sonarjax.render import (
+    RenderQuality,
+    SonarFrame,
+    TemplateBank,
+    Window,
+    WindowSize,
+    plan_window,
+    render,
+    template_bank,
+)
+from sonarjax.scene import Mesh, Pose, objects, stack_meshes
+from sonarjax.segment import Segmenter, load_segmenter
+from sonarjax.sensor import SensorModel, observe
 from sonarjax.sonar import FloorPatch, Sonar
-
-
 
 __version__ = "0.1.0"
 
 __all__ = [
-    "FloorPatch", "Mesh", "Pose", "Recognition", "Recognizer", "Sonar", "SonarFrame", "SonarjaxError", "TemplateBank",
-    "YawEstimate", "match_bank", "match_positions", "objects", "recognize", "refine_yaw", "render", "template_bank",
+    "Engine", "FloorPatch", "Mesh", "Pose", "Recognition", "Recognizer", "RefineConfig", "RenderQuality",
+    "SearchConfig", "Segmenter", "SensorModel", "Sonar", "SonarFrame", "SonarjaxError", "TemplateBank", "Window",
+    "WindowSize", "YawEstimate", "load_segmenter", "match_bank", "match_positions", "objects", "observe",
+    "plan_refinement", "plan_window", "recognize", "refine_yaw", "render", "stack_meshes", "template_bank",
 ]  # fmt: skip

@@ -21,6 +21,8 @@ from typing import Any, NoReturn
 from sonarjax.segment import DEFAULT_SEGMENTER, SEGMENTERS
 
 MAX_SUB_BEAMS = 64
+SCHEMA = 2
+"""Of a line of results: 2 has `converged`, `target`, `runner_up` and `margin`."""
 
 Lazy = Any  # a type of a module that is imported inside the function: the docstring names it
 
@@ -185,14 +187,14 @@ def _render(args: argparse.Namespace) -> int:
 
     check_outputs({"--out": args.out, "--png": args.png}, (args.mesh, args.sonar))
     _start_jax()
-    from sonarjax.render import check_fits, render
+    from sonarjax.render import RenderQuality, check_fits, render
     from sonarjax.scene import Mesh, Pose
     from sonarjax.sonar import Sonar
 
     sonar, mesh = Sonar.from_toml(args.sonar), Mesh.load(args.mesh, args.unit_m)
     check_fits(mesh, sonar, args.mesh)
-    quality = {} if args.sub_beams is None else {"sub_beams": args.sub_beams}
-    frame = render(mesh, Pose(x=args.x, y=args.y, yaw=math.radians(args.yaw_deg)), sonar, **quality)
+    quality = RenderQuality() if args.sub_beams is None else RenderQuality(sub_beams=args.sub_beams)
+    frame = render(mesh, Pose(x=args.x, y=args.y, yaw=math.radians(args.yaw_deg)), sonar, quality=quality)
     _write_frame(args.out, frame, sonar)
     if args.png is not None:
         from sonarjax.plot import plot_frame, save_figure
@@ -226,17 +228,18 @@ def _segment(args: argparse.Namespace) -> int:
 
     check_label_files(args.out_dir, args.frames)
     _start_jax()
-    import numpy as np
 
-    from sonarjax.segment import segment
+    from sonarjax.cpu import CpuEngine
+    from sonarjax.segment import load_segmenter
 
+    segmenter, engine = load_segmenter(), CpuEngine()
     _make_folder(args.out_dir)
     code, written = 0, dict[str, str]()
     for name, frame in _each_frame(args.frames):
         try:
             if isinstance(frame, Exception):
                 raise frame
-            labels = np.asarray(segment(frame.image, DEFAULT_SEGMENTER, mask=frame.mask), np.uint8)
+            labels = segmenter.labels(frame.image, frame.mask, engine)
         except BrokenPipeError:
             raise
         except Exception as error:  # whatever one frame does to us, the others are still to be segmented
@@ -255,17 +258,19 @@ def _recognize(args: argparse.Namespace) -> int:
 
     check_outputs({"--out": args.out}, (*args.frames, args.target, args.sonar))
     _start_jax()
-    from sonarjax.recognize import Recognizer
+    from sonarjax.cpu import CpuEngine
+    from sonarjax.recognize import MAP_REFINEMENT, Recognizer
     from sonarjax.render import check_fits
     from sonarjax.scene import Mesh
+    from sonarjax.segment import check_segmenter
     from sonarjax.sonar import Sonar
 
-    if args.segmenter not in SEGMENTERS:
-        raise SonarjaxError(f"--segmenter: expected {', '.join(SEGMENTERS)}, got {args.segmenter!r}")
+    check_segmenter(args.segmenter)
     sonar, mesh = Sonar.from_toml(args.sonar), Mesh.load(args.target, args.unit_m)
     check_fits(mesh, sonar, args.target)
-    try:
-        Recognizer(mesh, sonar)  # a sonar that sees no floor, or too much, is refused before any frame is read
+    refine = None if args.no_refine else MAP_REFINEMENT
+    try:  # a sonar that sees no floor, or too much, is refused before any frame is read
+        recognizer = Recognizer(mesh, sonar, segmenter=args.segmenter, refine=refine, engine=CpuEngine())
     except SonarjaxError as error:
         raise SonarjaxError(_naming(args.sonar, error)) from error
     code = 0
@@ -274,32 +279,51 @@ def _recognize(args: argparse.Namespace) -> int:
             try:
                 if isinstance(frame, Exception):
                     raise frame
-                record = _recognize_one(frame, mesh, sonar, args)
+                started = time.perf_counter()
+                found = recognizer(frame.image, frame.mask, threshold=args.threshold)
+                record = _record(found, frame.source, time.perf_counter() - started)
             except BrokenPipeError:
                 raise
             except Exception as error:  # whatever one frame does to us, the others are still to be recognized
-                record = {"frame": name, "error": _naming(name, error), "schema": 1}
+                record = {"frame": name, "error": _naming(name, error), "schema": SCHEMA}
                 _complain(record["error"])
                 code = 1
             lines.write(record)
     return code
 
 
-def _recognize_one(frame: Lazy, mesh: Lazy, sonar: Lazy, args: argparse.Namespace) -> dict[str, Any]:
-    """The JSON record of one io.Frame. Raises SonarjaxError when it does not fit the sonar."""
-    from sonarjax.recognize import recognize, to_json
+def _record(result: Lazy, frame: str, seconds: float) -> dict[str, Any]:
+    """One line of the results file of a Recognition: angles in degrees in [0, 360), lengths in metres."""
 
-    started = time.perf_counter()
-    result = recognize(
-        frame.image,
-        mesh,
-        sonar,
-        segmenter=args.segmenter,
-        refine=not args.no_refine,
-        threshold=args.threshold,
-        mask=frame.mask,
-    )
-    return to_json(result, frame.source, time.perf_counter() - started)
+    def degrees(angle: float | None) -> float | None:
+        return None if angle is None else math.degrees(angle)
+
+    hypotheses = [
+        {"yaw_deg": degrees(h.yaw), "score": h.score, "yaw_std_deg": degrees(h.yaw_std), "converged": h.converged}
+        for h in result.hypotheses
+    ]
+    return {
+        "frame": frame,
+        "identified": result.identified,
+        "target": result.target,
+        "score": result.score,
+        "score_bank": result.score_bank,
+        "score_refined": result.score_refined,
+        "threshold": result.threshold,
+        "runner_up": result.runner_up,
+        "margin": result.margin,
+        "yaw_bin_deg": degrees(result.yaw_bin),
+        "yaw_deg": degrees(result.yaw),
+        "yaw_std_deg": degrees(result.yaw_std),
+        "converged": result.converged,
+        "x_m": result.x,
+        "y_m": result.y,
+        "scores_by_yaw": [float(score) for score in result.scores_by_yaw],
+        "hypotheses": hypotheses,
+        "segmenter": result.segmenter,
+        "seconds": seconds,
+        "schema": SCHEMA,
+    }
 
 
 def _train(args: argparse.Namespace) -> int:
@@ -353,10 +377,10 @@ def _each_frame(specs: Sequence[str]) -> Iterator[tuple[str, Lazy]]:
 
 
 def _start_jax() -> None:
-    """Let a second run find its compiled code on disk."""
-    from sonarjax._cache import enable_compilation_cache
+    """Set the process up for a CPU, before anything is compiled."""
+    from sonarjax import cpu
 
-    enable_compilation_cache()
+    cpu.tune()
 
 
 def _make_folder(path: str) -> None:

@@ -1,73 +1,40 @@
-"""Fig. 1 in one function: frame → semantic map → yaw bin → refined yaw."""
+"""Fig. 1: frame → semantic map → yaw bin → refined yaw. `Recognizer` is prepared once and called with frames."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from functools import partial
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-from sonarjax._cores import side_by_side
+from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.match import PreparedBank, between_bins, match_positions, peaks, prepare_bank
-from sonarjax.refine import YawEstimate, refine_yaw
-from sonarjax.render import (
-    TemplateBank,
-    bank_place,
-    check_fits,
-    floor_point,
-    object_columns,
-    template_bank,
-    window_shape,
-)
+from sonarjax.match import Match, SearchConfig, TargetSearch, between_bins, peaks
+from sonarjax.refine import RefineConfig, YawEstimate, refine_yaw
 from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS
 from sonarjax.scene import Mesh, Pose
-from sonarjax.segment import DEFAULT_SEGMENTER, semantic_map
+from sonarjax.segment import DEFAULT_SEGMENTER, Segmenter, load_segmenter
 from sonarjax.sonar import Sonar
 
-YAW_BINS = 36  # the paper's 10°
-COARSE_EVERY = 3  # the search over distance uses every third bank and yaws of about 20°
-COARSE_YAWS = 18
-MIN_VALID = 0.5  # least share of a template's pixels that were measured, where part of the frame is masked
-MAX_DISTANCES = 1000
-"""Most distances of the search, 100 m of floor: each costs a bank."""
-RANGE_STEP_M = 0.1  # templates 0.3 m off in distance lose 10 points of accuracy
-DECIMATION = 4  # range bins that are one in that search
-HYPOTHESES = 2
-# Refining starts at a match, so no blur has to widen the basin: a coarse one follows the uneven floor of a grey frame.
-# What a threshold makes of speckle is no label image: a plain template (sharpness 0) does best for it.
-REFINEMENT: dict[str, Any] = {
-    "bounds": (math.radians(10.0), 0.06, 0.06),  # a bin of yaw [rad], some pixels of x and y [m]
-    "blurs": (2.0, 0.8),
-    "margin": (MARGIN_BINS, MARGIN_BEAMS),
-    "sharpness": 0.0,
-}
-"""How `recognize` refines on the segmenter's map."""
-ON_FRAME: tuple[dict[str, Any], ...] = (
-    REFINEMENT | {"blurs": (1.0, 0.5)},
-    REFINEMENT | {"blurs": (1.0, 0.5), "iterations": 3, "template": "echo"},
-)
-"""How it then goes on with the frame itself: a map says what is where, but its edges are blunt, and all of an object is
-equally bright in it. The echo fits a sonar's frame (on validation frames a median of 0.3° instead of 0.5°), the
-semantic image one that was drawn without a sensor; the better score decides (experiments/fit_refinement.py)."""
-UNMODELLED_YAW = math.radians(0.5)
-"""Standard deviation of yaw [rad] that a frame does not show: bounces, brightness and speckle that the echo template
-leaves out. What `yaw_std` must be joined by on validation frames (experiments/fit_refinement.py --drawn)."""
-SAME_YAW = math.radians(8.0)  # refined hypotheses closer than this are one
-THRESHOLDS = {
-    "pix2pix": 0.822,
-    "none": 0.528,
-    "otsu": 0.571,
-    "otsu1": 0.382,
-    "otsu3": 0.463,
-    "median-otsu": 0.610,
-}
-"""Least score of an identified target, for each segmenter; validation frames of experiments/fit_threshold.py."""
+MAP_REFINEMENT = RefineConfig(
+    bounds=(math.radians(10.0), 0.06, 0.06), blurs=(2.0, 0.8), polish=0, margin=(MARGIN_BINS, MARGIN_BEAMS),
+    sharpness=0.0,
+)  # fmt: skip
+"""How a match is refined on the segmenter's map: bounds of a bin of yaw [rad] and some pixels of x and y [m].
 
+Refining starts at a match, so no blur has to widen the basin: a coarse one follows the uneven floor of a grey frame.
+What a threshold makes of speckle is no label image: a plain template (sharpness 0) does best for it."""
+FRAME_BLURS = (1.0, 0.5)
+"""Blurs [range bins] of the refinement on the frame itself, which goes on from the map's."""
+ECHO_ITERATIONS = 3
+UNMODELLED_YAW = math.radians(0.5)
+"""Extra standard deviation [rad], added in quadrature so that the error bars cover 68 % of validation frames.
+
+Bounces, brightness and speckle that the echo template leaves out (experiments/fit_refinement.py --drawn)."""
+SAME_YAW = math.radians(8.0)  # refined hypotheses closer than this are one
 GIVEN = "given"
 
 
@@ -83,14 +50,18 @@ class Hypothesis:
     """Standard deviation of the refined yaw [rad], given this hypothesis: `refine_yaw`'s, joined by `UNMODELLED_YAW`.
 
     None without refinement."""
+    converged: bool = True
+    """False where refinement did not settle inside its bounds; the yaw is then the better of bin and refined one."""
 
 
 @dataclass(frozen=True)
 class Recognition:
-    """What `recognize` found in one frame."""
+    """What a `Recognizer` found in one frame."""
 
     identified: bool
     """True when the score reaches the threshold (eq. 5)."""
+    target: str
+    """Name of the target that matches best."""
     score: float
     """What the threshold judges: eq. 5's maximum over the bank."""
     score_bank: float
@@ -99,16 +70,22 @@ class Recognition:
     """NCC of the best refined template with what it was refined on; None without refinement."""
     threshold: float
     """Least score of an identified target."""
+    runner_up: str | None
+    """Name of the target that matches second best; None with a single target."""
+    margin: float | None
+    """Score minus that of the runner-up; None with a single target."""
     yaw_bin: float
     """Yaw of the best template [rad], turned to the bearing at which it was found."""
     yaw: float
     """Refined absolute yaw [rad]; the bin's without refinement."""
     yaw_std: float | None
-    """Standard deviation of the refined yaw [rad]."""
+    """Standard deviation of the refined yaw [rad]; None without refinement."""
     x: float
     """Forward position of the target [m]."""
     y: float
     """Position of the target to port [m]."""
+    converged: bool
+    """False where refinement did not settle inside its bounds; True without refinement."""
     scores_by_yaw: np.ndarray
     """NCC (yaw,) of each bin."""
     hypotheses: tuple[Hypothesis, ...]
@@ -119,161 +96,125 @@ class Recognition:
     """The image (range, beam) that was matched."""
 
 
-class _Entry(NamedTuple):
-    """A bank and what matching keeps of it."""
+class Candidate(NamedTuple):
+    """A target's best match in a frame."""
 
-    bank: TemplateBank
-    prepared: PreparedBank
+    search: TargetSearch
+    """The target."""
+    match: Match
+    """Its best bank."""
+    x: float
+    """Forward position at which it matched [m]."""
+    y: float
+    """Position to port [m]."""
 
+    @property
+    def score(self) -> float:
+        """Eq. 5's maximum over the bank."""
+        return float(self.match.scores.max())
 
-class Match(NamedTuple):
-    """How well one bank matches a frame, and where."""
-
-    bank: TemplateBank
-    """The bank that was matched."""
-    scores: np.ndarray
-    """NCC (yaw,) of each template."""
-    rows: int
-    """Range bins by which the best template is shifted from where it was rendered."""
-    columns: int
-    """Beams by which it is shifted."""
+    @property
+    def yaws(self) -> np.ndarray:
+        """Absolute yaw (yaw,) of each bin [rad]: a bank's aspect is relative to the bearing it was rendered at."""
+        bank = self.match.bank
+        turned = math.atan2(self.y, self.x) - math.atan2(float(bank.y), float(bank.x))
+        return np.asarray(bank.yaws) + turned
 
 
 class Recognizer:
-    """A target and a sonar with the banks that were rendered for them so far: keep one to recognize many frames."""
+    """Targets and a sonar, with all that is prepared for them: call it with frames."""
 
-    def __init__(self, mesh: Mesh, sonar: Sonar, yaw_bins: int = YAW_BINS) -> None:
-        """Banks of `yaw_bins` templates over the full circle are rendered when a frame first needs them.
+    def __init__(
+        self,
+        targets: Mesh | Sequence[Mesh] | Mapping[str, Mesh],
+        sonar: Sonar,
+        *,
+        segmenter: str | os.PathLike[str] | Segmenter = DEFAULT_SEGMENTER,
+        search: SearchConfig = SearchConfig(),
+        refine: RefineConfig | None = MAP_REFINEMENT,
+        engine: Engine = PLAIN,
+    ) -> None:
+        """One target, several, or several by name (else `target`, or their numbers); banks are rendered when needed.
 
-        Raises SonarjaxError when no distance is in view or too many are, when the mesh is larger than the sonar sees
-        far, or for fewer than 4 bins: peaks over yaw need neighbours.
+        `segmenter` is one of `SEGMENTERS`, a weights file or a loaded `Segmenter`. `refine` None stops at the yaw bin;
+        its bounds grow to a bin's width. `engine` runs what is compiled: `sonarjax.cpu.CpuEngine()` on a CPU.
+        Raises SonarjaxError for no target, an unknown segmenter, when no distance is in view or too many are, or a mesh
+        is larger than the sonar sees far.
         """
-        if yaw_bins < 4:
-            raise SonarjaxError(f"yaw_bins: expected 4 or more, got {yaw_bins}")
-        check_fits(mesh, sonar, "target")
-        self.mesh, self.sonar, self.yaw_bins = mesh, sonar, yaw_bins
-        self._banks: dict[tuple[int, bool, bool], _Entry | None] = {}
-        self._distances = _ground_ranges(sonar)
-        near = float(self._distances[0])
-        # Coarse steps, so that sonars at several tilts share compiled code.
-        self._beams = min(-(-object_columns(mesh, sonar, near) // 32) * 32, sonar.n_beams)
-        self._shape = (sonar.n_ranges, min(-(-window_shape(mesh, sonar, near)[1] // 32) * 32, sonar.n_beams))
+        named = _named(targets)
+        self.sonar, self.search, self.engine = sonar, search, engine
+        self.targets = {name: TargetSearch(m, sonar, search, name=name, engine=engine) for name, m in named.items()}
+        self.segmenter = segmenter if isinstance(segmenter, Segmenter) else load_segmenter(segmenter)
+        self.refine = None if refine is None else _widened(refine, search.yaw_bins)
 
-    def bank(self, index: int, coarse: bool, masked: bool) -> _Entry | None:
-        """The bank at distance `index`, ready to be matched; None where the object is not in view there."""
-        key = (index, coarse, masked)
-        if key not in self._banks:
-            self._banks[key] = self._render(float(self._distances[index]), coarse, masked)
-        return self._banks[key]
+    def __call__(
+        self, image: Any, mask: Any = None, *, semantic: Any = None, threshold: float | None = None
+    ) -> Recognition:
+        """Which target is in `image` (range, beam), and its yaw [rad]: segment, match (eq. 4–5), refine.
 
-    def _render(self, distance: float, coarse: bool, masked: bool) -> _Entry | None:
-        every = max(self.yaw_bins // COARSE_YAWS, 1) if coarse else 1
-        yaws = np.arange(0, self.yaw_bins, every) * (2 * math.pi / self.yaw_bins)
-        try:
-            bank = template_bank(self.mesh, self.sonar, yaws, x=distance, shape=self._shape, beams=self._beams)
-            if not coarse:
-                return _Entry(bank, prepare_bank(bank, self.sonar.shape, masked=masked))
-            frame = self.sonar.n_ranges // DECIMATION, self.sonar.n_beams
-            templates = _rounded_up(_decimated(np.asarray(bank.templates)), frame)
-            return _Entry(bank, prepare_bank(templates, frame, masked=masked))
-        except SonarjaxError:
-            return None
-
-    def find(self, image: np.ndarray, mask: np.ndarray | None) -> Match:
-        """The best match over distances: a coarse search with fewer range bins, then banks near its best."""
-        small = _decimated(image), None if mask is None else _decimated(mask.astype(np.float32)) == 1
-        masked = mask is not None
-        indices = [k for k in range(0, len(self._distances), COARSE_EVERY) if self.bank(k, True, masked) is not None]
-        if not indices:
-            raise SonarjaxError("target: at no distance inside the sonar's view is any part of it visible")
-        found = side_by_side(lambda k: self._match(k, True, *small), indices)
-        index = self._nearest(max((m for m in found if m is not None), key=lambda m: m.scores.max()))
-        best = self._match(index, False, image, mask)
-        closer = self._nearest(best) if best is not None else index
-        if closer != index:
-            again = self._match(closer, False, image, mask)
-            best = again if best is None or (again is not None and again.scores.max() > best.scores.max()) else best
-        if best is None:
-            raise SonarjaxError("target: no part of it is visible where it was found")
-        return best
-
-    def _nearest(self, match: Match) -> int:
-        return int(np.argmin(np.abs(self._distances - math.hypot(*self.place(match)))))
-
-    def _match(self, index: int, coarse: bool, image: np.ndarray, mask: np.ndarray | None) -> Match | None:
-        entry = self.bank(index, coarse, mask is not None)
-        if entry is None:
-            return None
-        match = match_positions(image, entry.prepared, mask, min_valid=MIN_VALID, whole=True)
-        scores = np.asarray(match.scores)
-        best = int(scores.argmax())
-        top, left = entry.bank.offset
-        row, column = int(match.row[best]), int(match.col[best])
-        return Match(entry.bank, scores, (DECIMATION * row if coarse else row) - top, column - left)
-
-    def place(self, match: Match) -> tuple[float, float]:
-        """Ground (x, y) [m] of the object of a match."""
-        slant, azimuth = bank_place(match.bank, self.sonar)
-        centers = np.asarray(self.sonar.azimuth)
-        beam = np.interp(azimuth, centers, np.arange(len(centers))) + match.columns
-        found = np.interp(beam, np.arange(len(centers)), centers)
-        x, y = _floor_point(slant + match.rows * float(self.sonar.range_bin), found, self.sonar)
-        return float(x), float(y)
-
-
-_floor_point = jax.jit(floor_point)
-
-
-def _decimated(image: np.ndarray) -> np.ndarray:
-    """Means of DECIMATION neighbouring range bins (..., range / DECIMATION, beam)."""
-    rows = image.shape[-2] // DECIMATION
-    groups = image[..., : rows * DECIMATION, :].reshape(*image.shape[:-2], rows, DECIMATION, image.shape[-1])
-    return groups.mean(axis=-2)
-
-
-def _rounded_up(templates: np.ndarray, frame: tuple[int, int]) -> np.ndarray:
-    """Coarse templates (yaw, h, w) with background added behind and to port: few shapes, so few to be compiled."""
-    sizes = zip(templates.shape[1:], frame, strict=True)
-    return np.pad(templates, ((0, 0), *((0, min(-n % 8, most - n)) for n, most in sizes)), constant_values=0.5)
-
-
-def _ground_ranges(sonar: Sonar) -> np.ndarray:
-    """Distances [m] at which a floor object can be in view, RANGE_STEP_M apart.
-
-    Raises SonarjaxError when there is none, or there are more than MAX_DISTANCES.
-    """
-    height, half = float(sonar.height), float(sonar.elevation_aperture) / 2
-    steep, flat = float(sonar.tilt) + half, max(float(sonar.tilt) - half, 1e-3)
-    if steep <= 0:
-        raise SonarjaxError("sonar: it looks up: no part of the floor is inside its aperture")
-    nearest = max(height / math.tan(min(steep, math.pi / 2 - 1e-3)), _ground(float(sonar.range_min), height))
-    farthest = min(height / math.tan(flat), _ground(float(sonar.range_max), height))
-    if farthest <= nearest:
-        raise SonarjaxError("sonar: no part of the floor is inside its aperture and range window")
-    count = math.ceil((farthest - nearest) / RANGE_STEP_M) + 1
-    if count > MAX_DISTANCES:
-        raise SonarjaxError(
-            f"sonar: the floor in view reaches from {nearest:.4g} to {farthest:.4g} m, {count} distances of "
-            f"{RANGE_STEP_M:g} m; expected at most {MAX_DISTANCES}: give a narrower range_min_m to range_max_m, "
-            "or more tilt_deg"
+        `mask` (range, beam) is true where a pixel was measured. `threshold` replaces the segmenter's own, which comes
+        from validation frames. A map of your own, `semantic` (range, beam) with shadow 0, background 0.5 and highlight
+        1, takes the place of the segmenter's; it needs a `threshold`.
+        Raises SonarjaxError for a shape that does not fit the sonar, values that are not finite, or where a threshold
+        is needed.
+        """
+        image, mask = _checked(image, mask, self.sonar)
+        given = None if semantic is None else _checked(semantic, mask, self.sonar, "semantic")[0]
+        least = self._threshold(threshold, given is not None)
+        seen = self.segmenter.semantic(image, mask, self.engine) if given is None else given
+        found = [self._locate(search, seen, mask) for search in self.targets.values()]
+        found.sort(key=lambda candidate: -candidate.score)
+        best = found[0]
+        hypotheses, x, y = self._hypotheses(best, image, seen, mask)
+        return Recognition(
+            identified=best.score >= least,
+            target=best.search.name,
+            score=best.score,
+            score_bank=best.score,
+            score_refined=hypotheses[0].score if self.refine else None,
+            threshold=least,
+            runner_up=found[1].search.name if len(found) > 1 else None,
+            margin=best.score - found[1].score if len(found) > 1 else None,
+            yaw_bin=_wrap(best.yaws[best.match.scores.argmax()]),
+            yaw=hypotheses[0].yaw,
+            yaw_std=hypotheses[0].yaw_std,
+            x=x,
+            y=y,
+            converged=hypotheses[0].converged,
+            scores_by_yaw=best.match.scores,
+            hypotheses=hypotheses,
+            segmenter=self.segmenter.name if given is None else GIVEN,
+            semantic=np.asarray(seen),
         )
-    return np.arange(nearest, farthest + RANGE_STEP_M, RANGE_STEP_M)
 
+    def _threshold(self, threshold: float | None, given: bool) -> float:
+        own = None if given else self.segmenter.threshold
+        if threshold is None and own is None:
+            what = "a `semantic` map" if given else f"the segmenter {self.segmenter.name}"
+            raise SonarjaxError(f"threshold: expected a number beside {what}, there is none for it")
+        return float(own if threshold is None else threshold)  # type: ignore[arg-type]
 
-def _ground(slant: float, height: float) -> float:
-    return math.sqrt(max(slant**2 - height**2, 0.0))
+    def _locate(self, search: TargetSearch, seen: np.ndarray, mask: np.ndarray | None) -> Candidate:
+        match = search.find(np.asarray(seen, np.float32), mask)
+        return Candidate(search, match, *search.place(match))
 
-
-_RECOGNIZERS: list[Recognizer] = []  # the last few, so that calling `recognize` frame by frame renders no bank twice
-
-
-def _recognizer(mesh: Mesh, sonar: Sonar, yaw_bins: int) -> Recognizer:
-    for known in _RECOGNIZERS:
-        if known.mesh is mesh and known.sonar is sonar and known.yaw_bins == yaw_bins:
-            return known
-    _RECOGNIZERS.append(Recognizer(mesh, sonar, yaw_bins))
-    del _RECOGNIZERS[:-8]
-    return _RECOGNIZERS[-1]
+    def _hypotheses(
+        self, best: Candidate, image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None
+    ) -> tuple[tuple[Hypothesis, ...], float, float]:
+        """Possible yaws, best first, and the place (x, y) [m] of the best: of the bins, or refined."""
+        scores = best.match.scores
+        bins = _peak_bins(scores, best.yaws, self.search.hypotheses)
+        if self.refine is None:
+            return _distinct([Hypothesis(_wrap(best.yaws[k]), float(scores[k]), None) for k in bins]), best.x, best.y
+        turned = [best.yaws[k] + between_bins(scores, k) * (2 * math.pi / len(scores)) for k in bins]
+        start = Pose(x=best.x, y=best.y, yaw=np.array(turned))
+        config = self.refine
+        on_map = refine_yaw(seen, best.search.mesh, self.sonar, start, mask=mask, config=config, engine=self.engine)
+        start = _kept(on_map, start)
+        estimate = refine_on_frame(image, best.search.mesh, self.sonar, start, mask, config, self.engine)
+        pose = _kept(estimate, start)
+        order = int(np.argmax(np.asarray(estimate.score)))
+        return _refined(estimate, pose), float(pose.x[order]), float(pose.y[order])
 
 
 def recognize(
@@ -281,76 +222,96 @@ def recognize(
     mesh: Mesh,
     sonar: Sonar,
     *,
-    segmenter: str = DEFAULT_SEGMENTER,
+    segmenter: str | os.PathLike[str] | Segmenter = DEFAULT_SEGMENTER,
     semantic: Any = None,
-    refine: bool = True,
+    search: SearchConfig = SearchConfig(),
+    refine: RefineConfig | None = MAP_REFINEMENT,
     threshold: float | None = None,
     mask: Any = None,
-    yaw_bins: int = YAW_BINS,
+    engine: Engine = PLAIN,
 ) -> Recognition:
-    """Find the target in a frame (range, beam) and its yaw [rad] (Fig. 1): segment, match (eq. 4–5), refine.
+    """Find one target in one frame (range, beam), and its yaw [rad]: a call of a new `Recognizer`, which has the rest.
 
-    Neither distance nor bearing is given: banks at several distances find them. `mask` (range, beam) is true where a
-    pixel was measured. `threshold` replaces the segmenter's own, which comes from validation frames. A bank has
-    `yaw_bins` templates over the full circle; refining reaches a bin's width from the best of them, 10° or more.
-    A map of your own, `semantic` (range, beam) with shadow 0, background 0.5 and highlight 1, takes the place of the
-    segmenter's; it needs a `threshold`.
-
-    Raises SonarjaxError for an unknown segmenter, a shape that does not fit the sonar, values that are not finite, a
-    `semantic` map without a threshold, or fewer than 4 yaw bins.
+    For several frames keep a `Recognizer`: it renders its banks once. Raises SonarjaxError as both its steps do.
     """
-    image, mask = _checked(image, mask, sonar)
-    if semantic is None:
-        semantic = semantic_map(image, segmenter, mask)
-    else:
-        semantic, segmenter = _checked(semantic, mask, sonar, "semantic")[0], GIVEN
-        if threshold is None:
-            raise SonarjaxError("threshold: expected a number beside a `semantic` map, there is none for it")
-    recognizer = _recognizer(mesh, sonar, yaw_bins)
-    match = recognizer.find(np.asarray(semantic, np.float32), mask)
-    (x, y), bank, scores = recognizer.place(match), match.bank, match.scores
-    yaws = np.asarray(bank.yaws) + math.atan2(y, x) - bank.bearing
-    found = peaks(jnp.asarray(scores), jnp.asarray(yaws), max_peaks=HYPOTHESES)
-    valid = np.asarray(found.valid)
-    starts = np.where(valid, np.asarray(found.yaw), _wrap(yaws[scores.argmax()]))
-    hypotheses, estimate = _hypotheses(starts, np.where(valid, np.asarray(found.score), scores.max())), None
-    if refine:
-        between = [between_bins(scores, int(k)) for k in np.where(valid, np.asarray(found.yaw_bin), scores.argmax())]
-        turned = starts + np.array(between) * (2 * math.pi / len(scores))
-        pose = Pose(np.full(HYPOTHESES, x), np.full(HYPOTHESES, y), turned)
-        estimate = refine_yaw(semantic, mesh, sonar, pose, mask=mask, **REFINEMENT | {"bounds": _bounds(yaw_bins)})
-        estimate = refine_on_frame(image, mesh, sonar, estimate.pose, mask)
-        stds = np.hypot(np.asarray(estimate.yaw_std), UNMODELLED_YAW)
-        hypotheses = _hypotheses(np.asarray(estimate.yaw), np.asarray(estimate.score), stds)
-        x, y = _place_of_best(estimate)
-    limit = THRESHOLDS[segmenter] if threshold is None else float(threshold)
-    score = float(scores.max())
-    return Recognition(
-        identified=score >= limit,
-        score=score,
-        score_bank=score,
-        score_refined=None if estimate is None else hypotheses[0].score,
-        threshold=limit,
-        yaw_bin=_wrap(yaws[scores.argmax()]),
-        yaw=hypotheses[0].yaw if refine else _wrap(yaws[scores.argmax()]),
-        yaw_std=hypotheses[0].yaw_std,
-        x=x,
-        y=y,
-        scores_by_yaw=scores,
-        hypotheses=hypotheses,
-        segmenter=segmenter,
-        semantic=np.asarray(semantic),
-    )
+    _checked(image, mask, sonar)  # before anything is prepared
+    recognizer = Recognizer(mesh, sonar, segmenter=segmenter, search=search, refine=refine, engine=engine)
+    return recognizer(image, mask, semantic=semantic, threshold=threshold)
 
 
-def refine_on_frame(image: Any, mesh: Mesh, sonar: Sonar, start: Pose, mask: Any = None) -> YawEstimate:
-    """The poses of `start` refined on the grey frame (range, beam), by the template that fits it better (`ON_FRAME`).
+def refine_on_frame(
+    image: Any, mesh: Mesh, sonar: Sonar, start: Pose, mask: Any = None, config: RefineConfig = MAP_REFINEMENT,
+    engine: Engine = PLAIN,
+) -> YawEstimate:  # fmt: skip
+    """The poses of `start` refined on the grey frame (range, beam), by the template that fits it better.
 
+    A map says what is where, but its edges are blunt, and all of an object is equally bright in it. The echo fits a
+    sonar's frame (on validation frames a median of 0.3° instead of 0.5°), the semantic image one that was drawn without
+    a sensor; the better score decides (experiments/fit_refinement.py).
     Raises SonarjaxError as `refine_yaw` does.
     """
-    first, second = (refine_yaw(image, mesh, sonar, start, mask=mask, **way) for way in ON_FRAME)
-    # One that is NaN loses.
-    return jax.tree.map(partial(jnp.where, second.score >= jnp.nan_to_num(first.score, nan=-1.0)), second, first)
+    plain = replace(config, blurs=FRAME_BLURS[-len(config.blurs) :], template="semantic")
+    echo = replace(plain, iterations=min(ECHO_ITERATIONS, config.iterations), template="echo")
+    both = engine.map(
+        lambda way: refine_yaw(image, mesh, sonar, start, mask=mask, config=way, engine=engine), (plain, echo)
+    )
+    first, second = both
+    better = np.asarray(second.score) >= np.asarray(first.score)
+    fields = (
+        np.where(better, np.asarray(b), np.asarray(a)) for a, b in zip(_leaves(first), _leaves(second), strict=True)
+    )
+    return YawEstimate(*fields)
+
+
+def _leaves(estimate: YawEstimate) -> list[Any]:
+    return [getattr(estimate, name) for name in estimate.__dataclass_fields__]  # type: ignore[attr-defined]
+
+
+def _named(targets: Mesh | Sequence[Mesh] | Mapping[str, Mesh]) -> dict[str, Mesh]:
+    if isinstance(targets, Mesh):
+        return {"target": targets}
+    if isinstance(targets, Mapping):
+        named = dict(targets)
+    else:
+        named = {"target" if len(targets) == 1 else str(k): mesh for k, mesh in enumerate(targets)}
+    if not named:
+        raise SonarjaxError("targets: expected at least one mesh")
+    return named
+
+
+def _widened(config: RefineConfig, yaw_bins: int) -> RefineConfig:
+    """The config with bounds of a bin's width [rad] where that is more than its own."""
+    yaw, x, y = config.bounds
+    return replace(config, bounds=(max(yaw, 2 * math.pi / yaw_bins), x, y))
+
+
+def _peak_bins(scores: np.ndarray, yaws: np.ndarray, count: int) -> list[int]:
+    """Bins of the highest peaks over yaw, best first; at least one."""
+    found = peaks(scores, yaws, max_peaks=count)
+    return [int(k) for k, valid in zip(np.asarray(found.yaw_bin), np.asarray(found.valid), strict=True) if valid]
+
+
+def _kept(estimate: YawEstimate, start: Pose) -> Pose:
+    """The refined poses; the start where refinement neither settled nor fits better than it."""
+    keep = np.asarray(estimate.converged) | (np.asarray(estimate.score) > np.asarray(estimate.start_score))
+    pairs = ((estimate.x, start.x), (estimate.y, start.y), (estimate.yaw, start.yaw))
+    return Pose(*(np.where(keep, np.asarray(new), np.asarray(old)) for new, old in pairs))
+
+
+def _refined(estimate: YawEstimate, pose: Pose) -> tuple[Hypothesis, ...]:
+    stds = np.hypot(np.asarray(estimate.yaw_std), UNMODELLED_YAW)
+    rows = zip(np.asarray(pose.yaw), np.asarray(estimate.score), stds, np.asarray(estimate.converged), strict=True)
+    return _distinct([Hypothesis(_wrap(yaw), float(score), float(std), bool(ok)) for yaw, score, std, ok in rows])
+
+
+def _distinct(hypotheses: list[Hypothesis]) -> tuple[Hypothesis, ...]:
+    """Different yaws, best first; those closer than SAME_YAW are one."""
+    kept: list[Hypothesis] = []
+    for one in sorted(hypotheses, key=lambda h: -h.score):
+        gaps = [abs((one.yaw - other.yaw + math.pi) % (2 * math.pi) - math.pi) for other in kept]
+        if all(gap > SAME_YAW for gap in gaps):
+            kept.append(one)
+    return tuple(kept)
 
 
 def _checked(image: Any, mask: Any, sonar: Sonar, name: str = "image") -> tuple[np.ndarray, np.ndarray | None]:
@@ -365,54 +326,5 @@ def _checked(image: Any, mask: Any, sonar: Sonar, name: str = "image") -> tuple[
     return (image if mask is None else np.where(mask, image, 0.5).astype(np.float32)), mask
 
 
-def _bounds(yaw_bins: int) -> tuple[float, float, float]:
-    """How far refining goes from the best bin: `REFINEMENT`'s bounds, but a bin's width [rad] where that is more."""
-    yaw, x, y = REFINEMENT["bounds"]
-    return max(yaw, 2 * math.pi / yaw_bins), x, y
-
-
 def _wrap(angle: Any) -> float:
     return float(np.mod(angle, 2 * math.pi))
-
-
-def _place_of_best(estimate: YawEstimate) -> tuple[float, float]:
-    best = int(np.nanargmax(np.asarray(estimate.score)))
-    return float(estimate.x[best]), float(estimate.y[best])
-
-
-def _hypotheses(yaws: Any, scores: Any, stds: Any = None) -> tuple[Hypothesis, ...]:
-    """Different yaws, best first; those closer than SAME_YAW are one."""
-    kept: list[Hypothesis] = []
-    for k in np.argsort(-np.asarray(scores)):
-        gaps = [abs((yaws[k] - other.yaw + math.pi) % (2 * math.pi) - math.pi) for other in kept]
-        if all(gap > SAME_YAW for gap in gaps):
-            kept.append(Hypothesis(_wrap(yaws[k]), float(scores[k]), None if stds is None else float(stds[k])))
-    return tuple(kept)
-
-
-def to_json(result: Recognition, frame: str, seconds: float) -> dict[str, Any]:
-    """One line of the results file: angles in degrees in [0, 360), lengths in metres, schema 1."""
-
-    def degrees(angle: float | None) -> float | None:
-        return None if angle is None else math.degrees(angle)
-
-    return {
-        "frame": frame,
-        "identified": result.identified,
-        "score": result.score,
-        "score_bank": result.score_bank,
-        "score_refined": result.score_refined,
-        "threshold": result.threshold,
-        "yaw_bin_deg": degrees(result.yaw_bin),
-        "yaw_deg": degrees(result.yaw),
-        "yaw_std_deg": degrees(result.yaw_std),
-        "x_m": result.x,
-        "y_m": result.y,
-        "scores_by_yaw": [float(score) for score in result.scores_by_yaw],
-        "hypotheses": [
-            {"yaw_deg": degrees(h.yaw), "score": h.score, "yaw_std_deg": degrees(h.yaw_std)} for h in result.hypotheses
-        ],
-        "segmenter": result.segmenter,
-        "seconds": seconds,
-        "schema": 1,
-    }

@@ -1,7 +1,7 @@
 """Template matching (§2.3): eq. 4 for every yaw bin of a bank at once, eq. 5's decision and the hypotheses over yaw.
 
 Takes a frame or semantic map (range, beam) and a bank of templates (yaw, h, w); returns scores (yaw,), positions and
-records. Imports nothing of the package but its error.
+records. `TargetSearch` holds the banks of one target at all distances.
 """
 
 from sonarjax.match.decision import Decision, Peaks, between_bins, decide, peaks
@@ -13,13 +13,17 @@ from sonarjax.match.ncc import (
     match_positions,
     prepare_bank,
 )
+from sonarjax.match.search import Match, SearchConfig, TargetSearch
 from sonarjax.match.spectra import TemplateSpectra, template_spectra
 
 __all__ = [
     "Decision",
+    "Match",
     "MatchPositions",
     "Peaks",
     "PreparedBank",
+    "SearchConfig",
+    "TargetSearch",
     "TemplateSpectra",
     "between_bins",
     "correlation_maps",

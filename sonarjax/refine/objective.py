@@ -93,7 +93,9 @@ def crop_score(
     return (normalised(image, inside) * normalised(drawn, inside)).sum()
 
 
-def box_around(drawn: Float[Array, "range beam"], margin: tuple[int, int] | Int[Array, "2"]) -> Bool[Array, "range beam"]:
+def box_around(
+    drawn: Float[Array, "range beam"], margin: tuple[int, int] | Int[Array, "2"]
+) -> Bool[Array, "range beam"]:
     """True (range, beam) in the box of what a template of `draw` shows, with a `margin` (bins, beams) around it."""
     touched = jnp.abs(drawn) > 0.01
     return _extent(touched.any(axis=1), margin[0])[:, None] & _extent(touched.any(axis=0), margin[1])

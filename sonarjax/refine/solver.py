@@ -109,9 +109,7 @@ def coarse_to_fine(problem: Problem, search: Search) -> Solution:
             renders_here=jnp.where(over, 0, state.renders_here + 1),
             step=next_step,
             done=finest & over,
-            solution=Solution(
-                best, weight, jnp.where(first, start_score, solution.start_score), solution.renders + 1
-            ),
+            solution=Solution(best, weight, jnp.where(first, start_score, solution.start_score), solution.renders + 1),
         )
 
     start = jnp.clip(jnp.zeros(len(trust)), *search.bounds)
@@ -151,4 +149,3 @@ def _linear_step(
     comparable = jnp.any(drawn * weight != 0) & jnp.isfinite(cost) & jnp.isfinite(found).all()
     step = jnp.where(comparable, jnp.nan_to_num(jnp.tanh(found)) * trust, 0.0)
     return step, jnp.where(comparable, cost, jnp.inf)
-

@@ -68,7 +68,7 @@ def refine_yaw(
     start: Pose,
     *,
     mask: Any = None,
-    config: RefineConfig = RefineConfig(),  # noqa: B008 (frozen)
+    config: RefineConfig = RefineConfig(),
     window: WindowSize | None = None,
     engine: Engine = PLAIN,
 ) -> YawEstimate:

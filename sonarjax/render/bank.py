@@ -89,7 +89,7 @@ def template_bank(
     return TemplateBank(crop, jnp.asarray(yaws), offset, *(jnp.float32(v) for v in (x, y, float(sonar.tilt))))
 
 
-class _Views(NamedTuple):
+class BankViews(NamedTuple):
     """All views of a bank, on the host or as they come from the compiled function."""
 
     images: Any
@@ -102,18 +102,18 @@ class _Views(NamedTuple):
 
 def _all_views(
     mesh: Mesh, sonar: Sonar, yaws: np.ndarray, place: Any, size: WindowSize, quality: RenderQuality, engine: Engine
-) -> _Views:
+) -> BankViews:
     """The views in parts of VIEWS, so that banks of any length share compiled code; the last part repeats its last."""
     parts = -(-len(yaws) // VIEWS)
     padded = np.concatenate([yaws, np.full(parts * VIEWS - len(yaws), yaws[-1])]).reshape(parts, VIEWS)
 
-    def render_part(mesh: Mesh) -> _Views:
+    def render_part(mesh: Mesh) -> BankViews:
         found = engine.map(
             lambda part: engine.run(_render_views, mesh, sonar, part, *place, size=size, quality=quality), padded
         )
         images = np.concatenate([np.asarray(part.images) for part in found])[: len(yaws)]
         row, column = (int(v) for v in found[0].corner)
-        return _Views(images, (row, column), np.max([part.overflow for part in found]))
+        return BankViews(images, (row, column), np.max([part.overflow for part in found]))
 
     return with_enough_room(render_part, mesh)
 
@@ -121,7 +121,7 @@ def _all_views(
 @partial(jax.jit, static_argnames=("size", "quality"))
 def _render_views(
     mesh: Mesh, sonar: Sonar, yaws: Array, x: Any, y: Any, *, size: WindowSize, quality: RenderQuality
-) -> _Views:
+) -> BankViews:
     window = place_window(size, mesh, sonar, x, y)
 
     def one(yaw: Array) -> tuple[Array, Array]:
@@ -129,7 +129,7 @@ def _render_views(
         return frame.semantic(), frame.overflow
 
     images, overflow = jax.lax.map(one, jnp.asarray(yaws))
-    return _Views(images, (window.row, window.column), overflow.max())
+    return BankViews(images, (window.row, window.column), overflow.max())
 
 
 def _touched_box(images: np.ndarray) -> tuple[tuple[int, int], tuple[int, int]] | None:

@@ -10,7 +10,9 @@ SHARED_LIMIT = 24  # up to this many triangles that look at the sonar, all slice
 DENSE_LIMIT = 256  # up to this many triangles, every (slice, triangle) pair is tested
 
 
-def front_faces(vertices: Float[Array, "vertex 3"], faces: Int[Array, "face 3"], closed: Bool[Array, ""]) -> Bool[Array, "face"]:
+def front_faces(
+    vertices: Float[Array, "vertex 3"], faces: Int[Array, "face 3"], closed: Bool[Array, ""]
+) -> Bool[Array, "face"]:
     """Triangles (face,) that can be seen from the sonar head: of a closed surface those that look at it, else all.
 
     Vertices (vertex, 3) [m] are in the sonar frame. Padding (zero-area) triangles are never seen.

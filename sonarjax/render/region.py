@@ -36,9 +36,7 @@ def plan_window(mesh: Mesh, sonar: Sonar, ground_range: float, slack: float = 0.
 
     A host function: `mesh` and `sonar` must hold concrete numbers.
     """
-    return WindowSize(
-        window_shape(mesh, sonar, ground_range, slack), object_columns(mesh, sonar, ground_range, slack)
-    )
+    return WindowSize(window_shape(mesh, sonar, ground_range, slack), object_columns(mesh, sonar, ground_range, slack))
 
 
 def window_shape(mesh: Mesh, sonar: Sonar, ground_range: float, slack: float = 0.0) -> tuple[int, int]:

@@ -24,7 +24,7 @@ def render(
     pose: Pose | Sequence[Pose],
     sonar: Sonar,
     *,
-    quality: RenderQuality = RenderQuality(),  # noqa: B008 (frozen)
+    quality: RenderQuality = RenderQuality(),
 ) -> SonarFrame:
     """Simulate a frame (*batch, range, beam) of one object, or of several given as sequences of equal length.
 

@@ -127,7 +127,12 @@ class EchoLayers(NamedTuple):
 
 
 def render_echo(
-    mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, quality: RenderQuality, by_facet: Bool[Array, ""] | bool = True
+    mesh: Mesh,
+    pose: Pose,
+    sonar: Sonar,
+    window: Window,
+    quality: RenderQuality,
+    by_facet: Bool[Array, ""] | bool = True,
 ) -> EchoLayers:
     """The object's echo facet by facet, its highlight and its shadow in a window of the image.
 

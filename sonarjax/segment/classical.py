@@ -11,6 +11,8 @@ from skimage.filters import threshold_multiotsu, threshold_otsu
 
 CLASSICAL = ("none", "otsu", "otsu1", "otsu3", "median-otsu")
 """Names that `threshold_labels` knows."""
+THRESHOLDS = {"none": 0.528, "otsu": 0.571, "otsu1": 0.382, "otsu3": 0.463, "median-otsu": 0.610}
+"""Least score of an identified target for each; validation frames of experiments/fit_threshold.py."""
 MEDIANS = {"otsu": 3, "median-otsu": 5}
 """Side of the median filter before the thresholds [pixel]."""
 GREY = np.array([0.5, 1.0, 0.0], np.float32)

@@ -2,48 +2,86 @@
 
 from __future__ import annotations
 
+import os
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
+from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.segment.classical import CLASSICAL, from_grey, threshold_labels, to_grey
-from sonarjax.segment.weights import load_generator
-from sonarjax.segment.whole import segment_frame
+from sonarjax.io.safetensors import read_safetensors
+from sonarjax.segment.classical import CLASSICAL, THRESHOLDS, from_grey, threshold_labels, to_grey
+from sonarjax.segment.weights import GeneratorWeights, load_generator, shipped_path
+from sonarjax.segment.whole import TILE, segment_frame
 
-SEGMENTERS = ("pix2pix", *CLASSICAL)
-"""Names that `segment` and `semantic_map` know."""
-DEFAULT_SEGMENTER = "pix2pix"
+NETWORK = "pix2pix"
+SEGMENTERS = (NETWORK, *CLASSICAL)
+"""Names that `load_segmenter` knows; it also takes the path of a weights file."""
+DEFAULT_SEGMENTER = NETWORK
 """What `recognize` and the command line use unless told otherwise."""
 
 
-def segment(
-    image: Float[np.ndarray, "range beam"], name: str, mask: Bool[np.ndarray, "range beam"] | None = None
-) -> UInt8[np.ndarray, "range beam"]:
-    """Labels (range, beam) of a grey frame: 0 background, 1 highlight, 2 shadow; pixels outside `mask` are background.
+@dataclass(frozen=True)
+class Segmenter:
+    """One way from a grey frame to a semantic map, ready for use."""
 
-    `pix2pix` is the shipped network, the others are thresholds; `help(sonarjax.segment)` says what each name stands
-    for. Raises SonarjaxError for an unknown name, or a network that cannot be loaded.
+    name: str
+    """Its name, or the weights file's."""
+    threshold: float | None
+    """Least score of an identified target (eq. 5), from validation frames; None where nobody has measured it."""
+    weights: GeneratorWeights | None = None
+    """The network; None for a classical one."""
+    tile: tuple[int, int] = TILE
+    """Largest extent of a tile (range, beam) [pixels] that the network sees at once."""
+
+    def semantic(
+        self, image: Float[np.ndarray, "range beam"], mask: Bool[np.ndarray, "range beam"] | None = None,
+        engine: Engine = PLAIN,
+    ) -> Float[np.ndarray, "range beam"]:  # fmt: skip
+        """What is matched (range, beam): shadow 0, background 0.5, highlight 1; a network's doubts lie between them.
+
+        `none` gives the grey frame itself. Pixels outside `mask` are background.
+        """
+        if self.weights is not None:
+            return segment_frame(self.weights, image, mask, tile=self.tile, engine=engine)
+        return image if self.name == "none" else to_grey(threshold_labels(image, self.name, mask))
+
+    def labels(
+        self, image: Float[np.ndarray, "range beam"], mask: Bool[np.ndarray, "range beam"] | None = None,
+        engine: Engine = PLAIN,
+    ) -> UInt8[np.ndarray, "range beam"]:  # fmt: skip
+        """Labels (range, beam): 0 background, 1 highlight, 2 shadow; pixels outside `mask` are background."""
+        if self.weights is None:
+            return threshold_labels(image, self.name, mask)
+        return from_grey(self.semantic(image, mask, engine))
+
+
+def load_segmenter(name: str | os.PathLike[str] = DEFAULT_SEGMENTER) -> Segmenter:
+    """The segmenter of a name in `SEGMENTERS`, or of a weights file that training wrote.
+
+    `help(sonarjax.segment)` says what each name stands for. Raises SonarjaxError when there is neither, or a file that
+    cannot be used.
     """
-    check_segmenter(name)
-    if name != "pix2pix":
-        return threshold_labels(image, name, mask)
-    return from_grey(segment_frame(load_generator(), image, mask))
+    text = os.fspath(name)
+    if text in CLASSICAL:
+        return Segmenter(text, THRESHOLDS[text])
+    if text != NETWORK and not text.endswith(".safetensors"):
+        raise SonarjaxError(f"segmenter: expected one of {', '.join(SEGMENTERS)} or a .safetensors file, got {text!r}")
+    path = shipped_path() if text == NETWORK else text
+    _, about = read_safetensors(path)
+    threshold, tile = about.get("threshold"), about.get("tile", TILE)
+    if not _is_number(threshold, optional=True) or len(tile) != 2 or not all(_is_number(v) and v > 0 for v in tile):
+        raise SonarjaxError(f"{os.fspath(path)}: metadata: expected a number `threshold` and two numbers `tile`")
+    return Segmenter(text, threshold, load_generator(path), (int(tile[0]), int(tile[1])))
 
 
-def semantic_map(
-    image: Float[np.ndarray, "range beam"], name: str, mask: Bool[np.ndarray, "range beam"] | None = None
-) -> Float[np.ndarray, "range beam"]:
-    """What is matched (range, beam): shadow 0, background 0.5, highlight 1; a network's doubts lie between them.
-
-    `none` gives the grey frame itself. Raises SonarjaxError as `segment` does.
-    """
-    check_segmenter(name)
-    if name == "none":
-        return image
-    return segment_frame(load_generator(), image, mask) if name == "pix2pix" else to_grey(segment(image, name, mask))
+def _is_number(value: Any, optional: bool = False) -> bool:
+    return (optional and value is None) or (isinstance(value, int | float) and not isinstance(value, bool))
 
 
 def check_segmenter(name: str) -> None:
     """Raises SonarjaxError when there is no segmenter of that name."""
-    if name not in SEGMENTERS:
-        raise SonarjaxError(f"segmenter: expected one of {', '.join(SEGMENTERS)}, got {name!r}")
+    if name not in SEGMENTERS and not name.endswith(".safetensors"):
+        raise SonarjaxError(f"segmenter: expected one of {', '.join(SEGMENTERS)} or a .safetensors file, got {name!r}")

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cache
+from functools import partial
 from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.safetensors import read_safetensors, write_safetensors
 from sonarjax.segment.generator import Generator, to_grey
@@ -64,8 +65,7 @@ def load_generator(path: str | os.PathLike[str] | None = None) -> GeneratorWeigh
 
     Raises SonarjaxError when the file is missing or damaged, or its arrays are not those of a generator.
     """
-    if path is None:
-        return _shipped()
+    path = shipped_path() if path is None else path
     arrays, _ = read_safetensors(path)
     name = os.fspath(path)
     module = _module_of(arrays, name)
@@ -92,11 +92,6 @@ def shipped_path() -> Path:
     return found[0]
 
 
-@cache
-def _shipped() -> GeneratorWeights:
-    return load_generator(shipped_path())
-
-
 def _module_of(arrays: Mapping[str, np.ndarray], name: str) -> Generator:
     """The network whose arrays these are, from the shapes of a few; the rest is checked against it afterwards."""
     try:
@@ -109,14 +104,18 @@ def _module_of(arrays: Mapping[str, np.ndarray], name: str) -> Generator:
     return Generator(width, "tanh" if output == 1 else "classes", channels == 2 * width, multipliers)
 
 
-@jax.jit
 def segment_patch(
-    weights: GeneratorWeights, images: Float[Array, "patch height width"]
+    weights: GeneratorWeights, images: Float[Array, "patch height width"], *, engine: Engine = PLAIN
 ) -> Float[Array, "patch height width"]:
     """Semantic grey of `images`, both (patch, height, width) in [0, 1]: shadow 0, background 0.5, highlight 1.
 
     Height and width are multiples of 128: patches, or a padded frame. No dropout: the mean answer. Raises
     SonarjaxError for another size.
     """
-    output = weights.module.apply(weights.variables, 2 * images[..., None] - 1)
+    return engine.run(_segment_patch, weights.variables, images, module=weights.module)
+
+
+@partial(jax.jit, static_argnames="module")
+def _segment_patch(variables: Any, images: Array, *, module: Generator) -> Array:
+    output = module.apply(variables, 2 * images[..., None] - 1)
     return (to_grey(jnp.asarray(output))[..., 0] + 1) / 2

@@ -19,6 +19,7 @@ from skimage.morphology import closing
 
 from sonarjax.data import PATCH, Box, PairSettings, cut_box, paste_patch
 from sonarjax.data.crops import LEAST
+from sonarjax.engine import PLAIN, Engine
 from sonarjax.segment.weights import GeneratorWeights, segment_patch
 
 TILE = (PairSettings.n_ranges, PairSettings.n_beams)
@@ -38,18 +39,21 @@ def segment_frame(
     mask: Bool[np.ndarray, "range beam"] | None = None,
     *,
     closer: bool = True,
+    tile: tuple[int, int] = TILE,
+    engine: Engine = PLAIN,
 ) -> Float[np.ndarray, "range beam"]:
     """Semantic grey (range, beam) of a frame (range, beam) in [0, 1]: shadow 0, background 0.5, highlight 1.
 
     Pixels outside `mask` are background. The network sees the median of what was measured there: floor, mostly. Dark
-    pixels would make a highlight of the floor beside them. `closer` False stops after the tiles.
+    pixels would make a highlight of the floor beside them. `closer` False stops after the tiles, which are at most
+    `tile` (range, beam) large.
     """
     seen = jnp.asarray(image if mask is None else np.where(mask, image, _middle(image[mask])), jnp.float32)
-    grey = _through_tiles(weights, seen)
+    grey = _through_tiles(weights, seen, tile, engine)
     if mask is not None:
         grey = np.where(mask, grey, np.float32(0.5))
     for box in _objects(grey) if closer else []:
-        looked = _through_box(weights, seen, Box(*map(float, box)))
+        looked = _through_box(weights, seen, Box(*map(float, box)), engine)
         inside = pixels_inside(box)
         grey[inside] = looked[inside]
     return grey if mask is None else np.where(mask, grey, np.float32(0.5))
@@ -59,33 +63,35 @@ def _middle(values: Float[np.ndarray, " pixel"]) -> float:
     return float(np.median(values)) if values.size else 0.5
 
 
-def _tiles(shape: tuple[int, ...]) -> list[Box]:
+def _tiles(shape: tuple[int, ...], tile: tuple[int, int]) -> list[Box]:
     """Boxes that cover a frame, neighbours half over one another."""
     starts = []
-    for size, tile in zip(shape, TILE, strict=True):
-        count = max(-(-2 * (size - tile) // tile), 0) + 1
-        starts.append(np.linspace(0.0, max(size - tile, 0), count, dtype=np.float32))
+    for size, most in zip(shape, tile, strict=True):
+        count = max(-(-2 * (size - most) // most), 0) + 1
+        starts.append(np.linspace(0.0, max(size - most, 0), count, dtype=np.float32))
     tops, lefts = (edges.ravel() for edges in np.meshgrid(*starts, indexing="ij"))
-    rows, columns = (np.full(tops.shape, min(size, tile), np.float32) for size, tile in zip(shape, TILE, strict=True))
-    return [Box(*map(float, tile)) for tile in zip(tops, lefts, rows, columns, strict=True)]
+    rows, columns = (np.full(tops.shape, min(size, most), np.float32) for size, most in zip(shape, tile, strict=True))
+    return [Box(*map(float, box)) for box in zip(tops, lefts, rows, columns, strict=True)]
 
 
-def _through_tiles(weights: GeneratorWeights, image: Float[Array, "range beam"]) -> Float[np.ndarray, "range beam"]:
+def _through_tiles(
+    weights: GeneratorWeights, image: Float[Array, "range beam"], tile: tuple[int, int], engine: Engine
+) -> Float[np.ndarray, "range beam"]:
     """The maps of all tiles, blended."""
     # The network is asked for one patch at a time, here as in a closer look: it is compiled once.
     sums = jnp.zeros((2, *image.shape))
-    for box in _tiles(image.shape):
-        sums = _blend(sums, segment_patch(weights, _cut(image, box)[None])[0], box)
+    for box in _tiles(image.shape, tile):
+        sums = _blend(sums, segment_patch(weights, _cut(image, box)[None], engine=engine)[0], box)
     total, shares = np.asarray(sums)
     return total / shares
 
 
 def _through_box(
-    weights: GeneratorWeights, image: Float[Array, "range beam"], box: Box
+    weights: GeneratorWeights, image: Float[Array, "range beam"], box: Box, engine: Engine
 ) -> Float[np.ndarray, "range beam"]:
     """The map of a closer look."""
     patch = _cut(image, box)
-    as_it_is, mirrored = (segment_patch(weights, seen[None])[0] for seen in (patch, patch[:, ::-1]))
+    as_it_is, mirrored = (segment_patch(weights, seen[None], engine=engine)[0] for seen in (patch, patch[:, ::-1]))
     return np.asarray(_paste((as_it_is + mirrored[:, ::-1]) / 2, box, (image.shape[0], image.shape[1])))
 
 

@@ -61,9 +61,7 @@ def observe(
     """
     sonar = frame.sonar
     gains_key, texture_key, speckle_key = jax.random.split(key, 3)
-    energy = received_energy(frame, model, bounces) * beam_gains(
-        sonar.n_beams, model.beam_gain_std, key=gains_key
-    )
+    energy = received_energy(frame, model, bounces) * beam_gains(sonar.n_beams, model.beam_gain_std, key=gains_key)
     energy = energy * gamma_texture(sonar.shape, model.texture, key=texture_key)
     noise = noise_floor(range_middles(sonar), model.noise, reference_range(sonar))
     energy = (energy + noise[:, None]) * speckle(sonar, model, key=speckle_key)
@@ -122,7 +120,7 @@ def observe_scene(
     model: SensorModel,
     *,
     key: jax.Array,
-    quality: RenderQuality = RenderQuality(),  # noqa: B008 (frozen)
+    quality: RenderQuality = RenderQuality(),
 ) -> tuple[Float[Array, "range beam"], SonarFrame]:
     """The observed image (range, beam) of objects on the floor with their multipath, and the clean frame behind it.
 

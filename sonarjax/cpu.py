@@ -1,0 +1,243 @@
+"""Everything that is only there to be fast on a CPU: optional, and used by entry points alone.
+
+`tune()` sets the process up (compiler flags, compilation cache, memory) before anything is computed; `CpuEngine` spreads
+work over the cores and keeps traced programs beside the compiled ones, so that a second process skips Python's tracing.
+Two lines for a script of your own: `sonarjax.cpu.tune()`, then `Recognizer(..., engine=sonarjax.cpu.CpuEngine())`.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import os
+import platform
+import sys
+import threading
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from jax import export
+
+from sonarjax.engine import Engine
+from sonarjax.io.atomic import write_atomic
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.refine.yaw import YawEstimate
+from sonarjax.render.bank import BankViews
+
+MIN_COMPILE_SECONDS = 0.2
+"""Least time to compile [s] of what is kept on disk: below it, reading a file back gains nothing."""
+# The emitters of XLA's older CPU compiler take half the time for the renderer, and what they make is no slower. Newer
+# compilers know the flag no more, and end the process that gives it. Small kernels only lose by being shared out.
+FLAGS = ("--xla_cpu_use_fusion_emitters=false",) if jax.__version_info__ < (0, 11) else ()
+# <malloc.h>: M_ARENA_MAX, M_MMAP_MAX, M_TRIM_THRESHOLD and M_TOP_PAD.
+_MEMORY = {-8: 1, -4: 0, -1: 2**31 - 1, -2: 256 * 2**20}
+_CACHE = "jax_compilation_cache_dir"
+_OFF = ("", "0", "false", "no")
+
+
+def tune() -> Path | None:
+    """Set this process up for a CPU: call it before JAX computes anything. Returns the cache folder, None without one.
+
+    `SONARJAX_NO_CACHE=1` turns the cache off, `SONARJAX_CACHE_DIR` moves it. Never raises.
+    """
+    use_quick_compiler()
+    return enable_compilation_cache()
+
+
+def use_quick_compiler() -> None:
+    """Have XLA compile for the CPU quickly, unless the user's XLA_FLAGS say otherwise."""
+    given = os.environ.get("XLA_FLAGS", "")
+    wanted = [flag for flag in FLAGS if flag.partition("=")[0] not in given]
+    if wanted:
+        os.environ["XLA_FLAGS"] = " ".join([given, *wanted]).strip()
+
+
+def enable_compilation_cache() -> Path | None:
+    """Let JAX keep compiled code on disk; returns the folder in use, or None where there is no cache.
+
+    By default it lies in the user's cache folder (`XDG_CACHE_HOME`, else `~/.cache`). A cache that the user set up for
+    JAX is left as it is, and so are JAX's own thresholds where they are set. Compiled code is trusted code, of one
+    processor type and JAX version: the folder is the user's own, and may be deleted at any time.
+    """
+    if os.environ.get("SONARJAX_NO_CACHE", "").lower() not in _OFF:
+        return None
+    chosen = getattr(jax.config, _CACHE)
+    if chosen:
+        return Path(chosen)
+    folder = _writable_folder()
+    if folder is None:
+        return None
+    jax.config.update(_CACHE, str(folder))
+    if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", MIN_COMPILE_SECONDS)
+    return folder
+
+
+def keep_memory() -> bool:
+    """Have this process keep the memory that it frees; True where that is possible (glibc).
+
+    For programs that train: XLA's CPU allocates what a step needs anew each time (70 MB at width 16), and the C library
+    gives blocks of that size back to the kernel, which hands them out again zeroed: a third of a step can go into it.
+    Call it before the first step. Large pages help a little more, but can only be asked for as a program starts:
+    GLIBC_TUNABLES=glibc.malloc.hugetlb=1.
+    """
+    if not sys.platform.startswith("linux"):
+        return False
+    try:
+        mallopt = ctypes.CDLL(None).mallopt
+    except (AttributeError, OSError):  # another C library
+        return False
+    return all([mallopt(name, value) == 1 for name, value in _MEMORY.items()])
+
+
+class CpuEngine(Engine):
+    """An engine with a thread for each core, and programs that are traced once and then read from disk."""
+
+    def __init__(self, folder: Path | None = None) -> None:
+        """`folder` is where traced programs are kept; by default beside the compilation cache, if that is on."""
+        cache = getattr(jax.config, _CACHE)
+        self._folder = folder or (Path(cache) / "programs" if cache else None)
+        self._programs: dict[Any, Callable[..., Any]] = {}
+        self._lock = threading.Lock()
+        self._busy = threading.local()
+        _register_results()
+
+    def run(self, function: Callable[..., Any], *args: Any, **static: Any) -> Any:
+        """As `Engine.run`; the program is compiled once, however many threads ask for it."""
+        leaves, tree = jax.tree.flatten(args)
+        if self._folder is None or any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+            return function(*args, **static)
+        leaves = [leaf if hasattr(leaf, "dtype") else np.asarray(leaf, _plain_type(leaf)) for leaf in leaves]
+        key = (function, tree, tuple((v.shape, str(v.dtype)) for v in leaves), tuple(sorted(static.items(), key=_name)))
+        with self._lock:
+            program = self._programs.get(key)
+            if program is None:
+                args = jax.tree.unflatten(tree, leaves)
+                program = self._programs[key] = _compiled(function, args, static, self._folder)
+        return program(leaves)
+
+    def map(self, function: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
+        """As `Engine.map`, with a thread for each core; each waits for its results. The first alone where it compiles."""
+        items = list(items)
+        if len(items) < 2 or cores() < 2 or getattr(self._busy, "inside", False):
+            return [function(item) for item in items]
+
+        def one(item: Any) -> Any:
+            self._busy.inside = True
+            return jax.block_until_ready(function(item))
+
+        with ThreadPoolExecutor(min(cores(), len(items))) as pool:
+            return list(pool.map(one, items))
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _name(item: tuple[str, Any]) -> str:
+    return item[0]
+
+
+def _plain_type(value: Any) -> Any:
+    """The type that JAX gives a plain Python number."""
+    return np.bool_ if isinstance(value, bool) else np.int32 if isinstance(value, int) else np.float32
+
+
+def _compiled(function: Callable[..., Any], args: Any, static: dict[str, Any], folder: Path) -> Callable[..., Any]:
+    """The function of a flat list of leaves, traced now, or read from where an earlier process left it."""
+    leaves, tree = jax.tree.flatten(args)
+
+    def of_leaves(values: list[Any]) -> Any:
+        return function(*jax.tree.unflatten(tree, values), **static)
+
+    path = folder / f"{_digest(function, tree, leaves, static)}.bin"
+    stored = _read(path)
+    if stored is None:
+        stored = export.export(jax.jit(of_leaves))([jax.ShapeDtypeStruct(v.shape, v.dtype) for v in leaves])
+        _write(path, stored)
+    return jax.jit(stored.call)
+
+
+def _digest(function: Any, tree: Any, leaves: list[Any], static: dict[str, Any]) -> str:
+    """A name for one program: the function, the types it is called with, and the code and versions behind it."""
+    facts = (
+        f"{function.__module__}.{function.__qualname__}", str(tree), [(v.shape, str(v.dtype)) for v in leaves],
+        sorted((name, repr(value)) for name, value in static.items()), jax.__version__, _source_digest(),
+        os.environ.get("XLA_FLAGS", ""), jax.default_backend(),
+    )  # fmt: skip
+    return hashlib.sha256(repr(facts).encode()).hexdigest()[:32]
+
+
+@cache
+def _source_digest() -> str:
+    """One number for all code of the package: a program of other code is not used."""
+    digest = hashlib.sha256()
+    for file in sorted(Path(__file__).parent.rglob("*.py")):
+        digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
+def _read(path: Path) -> Any:
+    try:
+        return export.deserialize(bytearray(path.read_bytes()))
+    except Exception:  # not there, cut short, of another version: it is traced again
+        return None
+
+
+def _write(path: Path, program: Any) -> None:
+    try:
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        data = program.serialize()
+        write_atomic(path, lambda file: file.write(data))
+    except (OSError, SonarjaxError):  # a full disk does not stop what can be computed
+        return
+
+
+@cache
+def _register_results() -> None:
+    """Tell JAX how the records that programs return are named in its files."""
+    export.register_namedtuple_serialization(BankViews, serialized_name="sonarjax.BankViews")
+    export.register_pytree_node_serialization(
+        YawEstimate,
+        serialized_name="sonarjax.YawEstimate",
+        serialize_auxdata=lambda aux: b"",
+        deserialize_auxdata=lambda data: (),
+    )
+
+
+def _writable_folder() -> Path | None:
+    """The folder of this JAX and this processor, made if need be; None where it cannot be written."""
+    try:
+        folder = _root() / f"jax-{jax.__version__}-{_processor()}"
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        return folder if os.access(folder, os.W_OK | os.X_OK) else None
+    except (OSError, RuntimeError, ValueError):  # RuntimeError: no home; ValueError: a null byte in a path
+        return None
+
+
+def _root() -> Path:
+    chosen = os.environ.get("SONARJAX_CACHE_DIR")
+    if chosen:
+        return Path(chosen).expanduser().absolute()
+    base = Path(os.environ.get("XDG_CACHE_HOME", ""))
+    return (base if base.is_absolute() else Path.home() / ".cache") / "sonarjax" / "xla"
+
+
+def _processor() -> str:
+    """Eight hex digits for the instruction set: a home folder may be shared by machines of several kinds.
+
+    XLA on a CPU compiles for the machine it runs on. Loading that code elsewhere prints long errors at best.
+    """
+    features = platform.machine() + platform.processor()
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8", errors="replace") as lines:
+            features += next((line for line in lines if line.startswith(("flags", "Features"))), "")
+    except OSError:
+        pass  # not Linux: the name of the machine has to do
+    return hashlib.sha256(features.encode()).hexdigest()[:8]
