@@ -1,7 +1,7 @@
 """Everything that is only there to be fast on a CPU: optional, and used by entry points alone.
 
-`tune()` sets the process up (compiler flags, compilation cache, memory) before anything is computed; `CpuEngine` spreads
-work over the cores and keeps traced programs beside the compiled ones, so that a second process skips Python's tracing.
+`tune()` sets the process up (compiler flags, compilation cache) before anything is computed; `CpuEngine` spreads work
+over the cores and keeps traced programs beside the compiled ones, so that a second process skips Python's tracing.
 Two lines for a script of your own: `sonarjax.cpu.tune()`, then `Recognizer(..., engine=sonarjax.cpu.CpuEngine())`.
 """
 
@@ -122,7 +122,7 @@ class CpuEngine(Engine):
         return program(leaves)
 
     def map(self, function: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
-        """As `Engine.map`, with a thread for each core; each waits for its results. The first alone where it compiles."""
+        """As `Engine.map`, with a thread for each core; each waits for its results."""
         items = list(items)
         if len(items) < 2 or cores() < 2 or getattr(self._busy, "inside", False):
             return [function(item) for item in items]

@@ -8,6 +8,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from sonarjax.engine import PLAIN, Engine
@@ -257,14 +259,7 @@ def refine_on_frame(
     )
     first, second = both
     better = np.asarray(second.score) >= np.asarray(first.score)
-    fields = (
-        np.where(better, np.asarray(b), np.asarray(a)) for a, b in zip(_leaves(first), _leaves(second), strict=True)
-    )
-    return YawEstimate(*fields)
-
-
-def _leaves(estimate: YawEstimate) -> list[Any]:
-    return [getattr(estimate, name) for name in estimate.__dataclass_fields__]  # type: ignore[attr-defined]
+    return jax.tree.map(lambda b, a: jnp.asarray(np.where(better, np.asarray(b), np.asarray(a))), second, first)
 
 
 def _named(targets: Mesh | Sequence[Mesh] | Mapping[str, Mesh]) -> dict[str, Mesh]:

@@ -140,9 +140,10 @@ class TargetSearch:
         config = self.config
         every = max(config.yaw_bins // config.coarse_yaws, 1) if coarse else 1
         yaws = np.arange(0, config.yaw_bins, every) * (2 * math.pi / config.yaw_bins)
-        options = {"x": distance, "size": self._size, "quality": config.quality, "engine": self.engine}
         try:
-            bank = template_bank(self.mesh, self.sonar, yaws, **options)
+            bank = template_bank(
+                self.mesh, self.sonar, yaws, x=distance, size=self._size, quality=config.quality, engine=self.engine
+            )
             if not coarse:
                 return _Entry(bank, prepare_bank(bank, self.sonar.shape, masked=masked))
             frame = self.sonar.n_ranges // config.decimation, self.sonar.n_beams

@@ -6,7 +6,7 @@ linear model inside a trust region, which costs next to nothing beside a render.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -27,17 +27,17 @@ POLISHED_SHARE = 5e-4
 
 
 class Search(NamedTuple):
-    """How one problem is searched: numbers only, so that all searches share compiled code."""
+    """How one problem is searched: numbers only (of NumPy, or traced), so that all searches share compiled code."""
 
-    bounds: Float[Array, "2 step"]
-    """Least and largest step: yaw [rad], x, y [m] and a bounce's energy [1]."""
-    blurs: Float[Array, "blur"]
-    """Standard deviations of the blurs [range bins], coarse to fine."""
-    iterations: Int[Array, ""]
+    bounds: Any
+    """Least and largest step (2, step): yaw [rad], x, y [m] and a bounce's energy [1]."""
+    blurs: Any
+    """Standard deviations (blur,) of the blurs [range bins], coarse to fine."""
+    iterations: Any
     """Renders at each blur, at most."""
-    polish: Int[Array, ""]
+    polish: Any
     """Further renders at the last blur, at most."""
-    score_margin: Int[Array, "2"]
+    score_margin: Any
     """Bins and beams around the template over which its NCC is reported."""
 
 

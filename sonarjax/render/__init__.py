@@ -9,7 +9,7 @@ from sonarjax.render.simulate import render
 from sonarjax.render.window import render_echo, render_window
 
 __all__ = [
-    "RenderQuality", "SonarFrame", "TemplateBank", "Window", "WindowSize", "bank_place", "check_fits", "floor_angle", "floor_point",
-    "image_azimuth", "place_window", "plan_window", "render", "render_echo", "render_window", "semantic_image",
-    "template_bank",
+    "RenderQuality", "SonarFrame", "TemplateBank", "Window", "WindowSize", "bank_place", "check_fits", "floor_angle",
+    "floor_point", "image_azimuth", "place_window", "plan_window", "render", "render_echo", "render_window",
+    "semantic_image", "template_bank",
 ]  # fmt: skip

@@ -69,7 +69,7 @@ def _render(mesh: Mesh, pose: Pose, sonar: Sonar, quality: RenderQuality) -> Son
         axes = len(mesh.closed.shape)
         meshes = jax.tree.map(lambda v: jnp.broadcast_to(v, (*batch, *v.shape[axes:])), mesh)
         meshes = jax.tree.map(lambda v: v.reshape(-1, *v.shape[len(batch) :]), meshes)
-        frames = one_by_one(lambda one: render_window(*one, sonar, window, quality), (meshes, poses))
+        frames = one_by_one(lambda one: render_window(one[0], one[1], sonar, window, quality), (meshes, poses))
     return jax.tree.map(lambda v: v.reshape(*batch, *v.shape[1:]), frames)
 
 
@@ -98,6 +98,7 @@ def place_together(meshes: Sequence[Mesh], poses: Pose | Sequence[Pose]) -> tupl
         top=jnp.stack([m.top for m in meshes]).max(),
         crossings=sum(m.crossings for m in meshes),
         front=sum(m.front for m in meshes),
+        events=sum(min(m.events, len(m.crease)) for m in meshes),
         intersecting=len(meshes) > 1 or meshes[0].intersecting,
     )
     return joined, Pose()

@@ -69,7 +69,7 @@ def in_sonar_frame(mesh: Mesh, pose: Pose, sonar: Sonar) -> Scene:
 def find_visible(
     mesh: Mesh, scene: Scene, slabs: Slabs, sonar: Sonar, elevations: int, by_facet: Bool[Array, ""] | bool = False
 ) -> Visible:
-    """The visible profile in the middle of each slab (all of it without a gradient); `by_facet` as in `find_outline`."""
+    """The visible profile in the middle of each slab (none of it with a gradient); `by_facet` as in `find_outline`."""
     fixed = stop_gradient(scene)
     azimuth = stop_gradient(slabs.middle)
     seen = front_faces(fixed.vertices, fixed.faces, mesh.closed)
@@ -157,7 +157,7 @@ def render_echo(
 
 def _slabs_of(mesh: Mesh, scene: Scene, sonar: Sonar, window: Window, sub_beams: int) -> Slabs:
     azimuth_edges = _columns(jnp.asarray(sonar.azimuth_edges), window.column, window.shape[1] + 1)
-    events = event_azimuths(scene.vertices, mesh.crease)
+    events = event_azimuths(scene.vertices, scene.faces, mesh.crease, mesh.events)
     return make_slabs(azimuth_edges, events, sub_beams, window.object_columns)
 
 
