@@ -14,7 +14,7 @@ import platform
 import sys
 import threading
 from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -102,24 +102,39 @@ class CpuEngine(Engine):
         """`folder` is where traced programs are kept; by default beside the compilation cache, if that is on."""
         cache = getattr(jax.config, _CACHE)
         self._folder = folder or (Path(cache) / "programs" if cache else None)
-        self._programs: dict[Any, Callable[..., Any]] = {}
+        self._programs: dict[Any, Future[Any]] = {}
         self._lock = threading.Lock()
         self._busy = threading.local()
         _register_results()
 
     def run(self, function: Callable[..., Any], *args: Any, **static: Any) -> Any:
-        """As `Engine.run`; the program is compiled once, however many threads ask for it."""
-        leaves, tree = jax.tree.flatten(args)
-        if self._folder is None or any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+        """As `Engine.run`; a program is compiled once, however many threads ask for it."""
+        if self._folder is None or any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(args)):
             return function(*args, **static)
+        leaves, program = self._program(function, args, static)
+        return program.result()(leaves)
+
+    def prepare(self, function: Callable[..., Any], *args: Any, **static: Any) -> None:
+        """Compile for arguments of these shapes in the background, while the process goes on with something else."""
+        if self._folder is not None:
+            threading.Thread(target=self._program, args=(function, args, static), daemon=True).start()
+
+    def _program(self, function: Any, args: Any, static: dict[str, Any]) -> tuple[list[Any], Future[Any]]:
+        """The arguments' leaves, and the program of them: made here, or by whoever asked first."""
+        leaves, tree = jax.tree.flatten(args)
         leaves = [leaf if hasattr(leaf, "dtype") else np.asarray(leaf, _plain_type(leaf)) for leaf in leaves]
         key = (function, tree, tuple((v.shape, str(v.dtype)) for v in leaves), tuple(sorted(static.items(), key=_name)))
         with self._lock:
-            program = self._programs.get(key)
-            if program is None:
-                args = jax.tree.unflatten(tree, leaves)
-                program = self._programs[key] = _compiled(function, args, static, self._folder)
-        return program(leaves)
+            known = self._programs.get(key)
+            program: Future[Any] = known or self._programs.setdefault(key, Future())
+        if known is None:
+            try:
+                assert self._folder is not None
+                program.set_result(_compiled(function, jax.tree.unflatten(tree, leaves), static, self._folder))
+            except BaseException as error:
+                self._programs.pop(key)
+                program.set_exception(error)
+        return leaves, program
 
     def map(self, function: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
         """As `Engine.map`, with a thread for each core; each waits for its results."""
@@ -161,7 +176,7 @@ def _compiled(function: Callable[..., Any], args: Any, static: dict[str, Any], f
     if stored is None:
         stored = export.export(jax.jit(of_leaves))([jax.ShapeDtypeStruct(v.shape, v.dtype) for v in leaves])
         _write(path, stored)
-    return jax.jit(stored.call)
+    return jax.jit(stored.call).lower(leaves).compile()
 
 
 def _digest(function: Any, tree: Any, leaves: list[Any], static: dict[str, Any]) -> str:

@@ -16,6 +16,9 @@ class Engine:
         """`function(*args, **static)` of a function under `jax.jit` whose static arguments are named."""
         return function(*args, **static)
 
+    def prepare(self, function: Callable[..., Any], *args: Any, **static: Any) -> None:
+        """Note that `run` will be called with arguments of these shapes: here nothing is done about it."""
+
     def map(self, function: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
         """[function(item) for item in items]."""
         return [function(item) for item in items]

@@ -9,13 +9,13 @@ from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.match import Match, SearchConfig, TargetSearch, between_bins, peaks
-from sonarjax.refine import RefineConfig, YawEstimate, refine_yaw
+from sonarjax.refine import RefineConfig, YawEstimate, plan_refinement, prepare_refinement, refine_yaw
+from sonarjax.render import WindowSize
 from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS
 from sonarjax.scene import Mesh, Pose
 from sonarjax.segment import DEFAULT_SEGMENTER, Segmenter, load_segmenter
@@ -146,8 +146,9 @@ class Recognizer:
         named = _named(targets)
         self.sonar, self.search, self.engine = sonar, search, engine
         self.targets = {name: TargetSearch(m, sonar, search, name=name, engine=engine) for name, m in named.items()}
-        self.segmenter = segmenter if isinstance(segmenter, Segmenter) else load_segmenter(segmenter)
         self.refine = None if refine is None else _widened(refine, search.yaw_bins)
+        self._windows = {name: self._usual_window(search) for name, search in self.targets.items()}
+        self.segmenter = segmenter if isinstance(segmenter, Segmenter) else load_segmenter(segmenter)
 
     def __call__(
         self, image: Any, mask: Any = None, *, semantic: Any = None, threshold: float | None = None
@@ -189,6 +190,24 @@ class Recognizer:
             semantic=np.asarray(seen),
         )
 
+    def _usual_window(self, search: TargetSearch) -> WindowSize | None:
+        """The window that refinement needs at most distances; its program is compiled while the banks are rendered."""
+        if self.refine is None:
+            return None
+        starts = [Pose(x=distance) for distance in search.distances]
+        sizes = [plan_refinement(search.mesh, self.sonar, start, self.refine) for start in starts]
+        usual = max(set(sizes), key=sizes.count)
+        prepare_refinement(search.mesh, self.sonar, starts[0], self.refine, self.engine, usual)
+        return usual
+
+    def _window(self, best: Candidate) -> WindowSize | None:
+        """The usual window where it is large enough for the match, else what that needs."""
+        usual = self._windows[best.search.name]
+        if usual is None or self.refine is None:
+            return None
+        needed = plan_refinement(best.search.mesh, self.sonar, Pose(x=best.x, y=best.y), self.refine)
+        return usual if usual.holds(needed) else needed
+
     def _threshold(self, threshold: float | None, given: bool) -> float:
         own = None if given else self.segmenter.threshold
         if threshold is None and own is None:
@@ -211,12 +230,13 @@ class Recognizer:
         turned = [best.yaws[k] + between_bins(scores, k) * (2 * math.pi / len(scores)) for k in bins]
         start = Pose(x=best.x, y=best.y, yaw=np.array(turned))
         config = self.refine
-        on_map = refine_yaw(seen, best.search.mesh, self.sonar, start, mask=mask, config=config, engine=self.engine)
+        mesh, window = best.search.mesh, self._window(best)
+        on_map = refine_yaw(seen, mesh, self.sonar, start, mask=mask, config=config, window=window, engine=self.engine)
         start = _kept(on_map, start)
-        estimate = refine_on_frame(image, best.search.mesh, self.sonar, start, mask, config, self.engine)
+        estimate = refine_on_frame(image, mesh, self.sonar, start, mask, config, window, self.engine)
         pose = _kept(estimate, start)
         order = int(np.argmax(np.asarray(estimate.score)))
-        return _refined(estimate, pose), float(pose.x[order]), float(pose.y[order])
+        return _refined(estimate, pose), float(np.asarray(pose.x)[order]), float(np.asarray(pose.y)[order])
 
 
 def recognize(
@@ -243,7 +263,7 @@ def recognize(
 
 def refine_on_frame(
     image: Any, mesh: Mesh, sonar: Sonar, start: Pose, mask: Any = None, config: RefineConfig = MAP_REFINEMENT,
-    engine: Engine = PLAIN,
+    window: WindowSize | None = None, engine: Engine = PLAIN,
 ) -> YawEstimate:  # fmt: skip
     """The poses of `start` refined on the grey frame (range, beam), by the template that fits it better.
 
@@ -254,12 +274,12 @@ def refine_on_frame(
     """
     plain = replace(config, blurs=FRAME_BLURS[-len(config.blurs) :], template="semantic")
     echo = replace(plain, iterations=min(ECHO_ITERATIONS, config.iterations), template="echo")
-    both = engine.map(
-        lambda way: refine_yaw(image, mesh, sonar, start, mask=mask, config=way, engine=engine), (plain, echo)
+    first, second = engine.map(
+        lambda way: refine_yaw(image, mesh, sonar, start, mask=mask, config=way, window=window, engine=engine),
+        (plain, echo),
     )
-    first, second = both
     better = np.asarray(second.score) >= np.asarray(first.score)
-    return jax.tree.map(lambda b, a: jnp.asarray(np.where(better, np.asarray(b), np.asarray(a))), second, first)
+    return jax.tree.map(lambda b, a: jax.device_put(np.where(better, np.asarray(b), np.asarray(a))), second, first)
 
 
 def _named(targets: Mesh | Sequence[Mesh] | Mapping[str, Mesh]) -> dict[str, Mesh]:

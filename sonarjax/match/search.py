@@ -96,8 +96,8 @@ class TargetSearch:
         check_fits(mesh, sonar, name)
         self.mesh, self.sonar, self.config, self.name, self.engine = mesh, sonar, config, name, engine
         self._banks: dict[tuple[int, bool, bool], _Entry | None] = {}
-        self._distances = _ground_ranges(sonar, config.range_step)
-        self._size = _bank_window(mesh, sonar, float(self._distances[0]))
+        self.distances = _ground_ranges(sonar, config.range_step)
+        self._size = _bank_window(mesh, sonar, float(self.distances[0]))
 
     def find(self, image: np.ndarray, mask: np.ndarray | None = None) -> Match:
         """The best match in `image` (range, beam) over distances: a coarse search, then banks near its best.
@@ -106,7 +106,7 @@ class TargetSearch:
         """
         every, masked = self.config.coarse_every, mask is not None
         small = self._decimated(image), None if mask is None else self._decimated(mask.astype(np.float32)) == 1
-        indices = [k for k in range(0, len(self._distances), every) if self._bank(k, True, masked) is not None]
+        indices = [k for k in range(0, len(self.distances), every) if self._bank(k, True, masked) is not None]
         if not indices:
             raise SonarjaxError(f"{self.name}: at no distance inside the sonar's view is any part of it visible")
         found = self.engine.map(lambda k: self._match(k, True, *small), indices)
@@ -133,7 +133,7 @@ class TargetSearch:
         """The bank at distance `index`, ready to be matched; None where the object is not in view there."""
         key = (index, coarse, masked)
         if key not in self._banks:
-            self._banks[key] = self._render(float(self._distances[index]), coarse, masked)
+            self._banks[key] = self._render(float(self.distances[index]), coarse, masked)
         return self._banks[key]
 
     def _render(self, distance: float, coarse: bool, masked: bool) -> _Entry | None:
@@ -153,7 +153,7 @@ class TargetSearch:
             return None
 
     def _nearest(self, match: Match) -> int:
-        return int(np.argmin(np.abs(self._distances - math.hypot(*self.place(match)))))
+        return int(np.argmin(np.abs(self.distances - math.hypot(*self.place(match)))))
 
     def _match(self, index: int, coarse: bool, image: np.ndarray, mask: np.ndarray | None) -> Match | None:
         entry = self._bank(index, coarse, mask is not None)

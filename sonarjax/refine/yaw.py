@@ -85,10 +85,12 @@ def refine_yaw(
 
     Raises SonarjaxError when the shapes do not fit the sonar.
     """
-    image = jnp.asarray(image, jnp.float32)
+    traced = is_traced(image, mask, mesh, sonar, start)
+    array = jnp if traced else np  # on the host NumPy cuts and joins without compiling anything
+    image = array.asarray(image, np.float32)
     if image.ndim not in (2, 3) or image.shape[-2:] != sonar.shape:
         raise SonarjaxError(f"image: expected shape {sonar.shape} (range, beam) of the sonar, got {image.shape}")
-    weight = jnp.ones(image.shape) if mask is None else jnp.asarray(mask, jnp.float32)
+    weight = array.ones(image.shape, np.float32) if mask is None else array.asarray(mask, np.float32)
     if weight.shape != image.shape:
         raise SonarjaxError(f"mask: expected the image's shape {image.shape}, got {weight.shape}")
     frames, axes = image.ndim - 2, start.shape
@@ -96,24 +98,35 @@ def refine_yaw(
         raise SonarjaxError(f"start: expected one pose (or one axis of poses) for each image, got shape {axes}")
     size = window or plan_refinement(mesh, sonar, start, config)
     # One long list of frames and starts.
-    starts = jax.tree.map(lambda v: v.reshape(-1), start)
+    starts = jax.tree.map(lambda v: array.asarray(v).reshape(-1), start)
     count = math.prod(axes)
     which = np.arange(count) // max(count // max(math.prod(axes[:frames]), 1), 1)
     images, weights = (v.reshape(-1, *sonar.shape) for v in (image, weight))
     settings = _settings(config)
     static = {"size": size, "quality": config.quality, "polished": config.polish > 0}
-    if is_traced(images, weights, mesh, sonar, starts):
+    if traced:
         jobs = images[which], weights[which], starts
         found = one_by_one(lambda job: _refine(*job[:2], mesh, sonar, job[2], *settings, **static), jobs)
         return jax.tree.map(lambda v: v.reshape(axes), found)
 
     def job(k: int) -> YawEstimate:
-        begin = jax.tree.map(lambda v: np.asarray(v)[k], starts)
+        begin = jax.tree.map(lambda v: v[k], starts)
         done = engine.run(_refine, images[which[k]], weights[which[k]], mesh, sonar, begin, *settings, **static)
         return jax.tree.map(np.asarray, done)
 
     found = engine.map(job, range(count))
-    return jax.tree.map(lambda *v: jnp.asarray(np.stack(v).reshape(axes)), *found)
+    return jax.tree.map(lambda *v: jax.device_put(np.stack(v).reshape(axes)), *found)
+
+
+def prepare_refinement(
+    mesh: Mesh, sonar: Sonar, start: Pose, config: RefineConfig, engine: Engine, window: WindowSize | None = None
+) -> None:
+    """Have `engine` compile the refinement of one start of frames of this sonar, before there is a frame."""
+    image = np.zeros(sonar.shape, np.float32)
+    begin = jax.tree.map(np.asarray, start)
+    size = window or plan_refinement(mesh, sonar, start, config)
+    static = {"size": size, "quality": config.quality, "polished": config.polish > 0}
+    engine.prepare(_refine, image, image, mesh, sonar, begin, *_settings(config), **static)
 
 
 def is_traced(*trees: Any) -> bool:

@@ -84,9 +84,10 @@ def template_bank(
     first, last = box
     top, left = max(first[0] - margin[0], 0), max(first[1] - margin[1], 0)
     bottom, right = min(last[0] + margin[0], size.shape[0] - 1), min(last[1] + margin[1], size.shape[1] - 1)
-    crop = jnp.asarray(images[:, top : bottom + 1, left : right + 1])
-    offset = jnp.asarray(np.array([row + top, column + left], np.int32))
-    return TemplateBank(crop, jnp.asarray(yaws), offset, *(jnp.float32(v) for v in (x, y, float(sonar.tilt))))
+    crop = images[:, top : bottom + 1, left : right + 1]
+    offset = np.array([row + top, column + left], np.int32)
+    # `device_put` compiles nothing, where `jnp.asarray` compiles a copy for every shape.
+    return TemplateBank(*(jax.device_put(v) for v in (crop, yaws, offset, *place, np.float32(sonar.tilt))))
 
 
 class BankViews(NamedTuple):

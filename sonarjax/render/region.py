@@ -30,6 +30,11 @@ class WindowSize:
     object_columns: int | None = None
     """Upper bound of the beams that the object itself touches; None for all."""
 
+    def holds(self, other: WindowSize) -> bool:
+        """True where a window of this size will do for what was planned as `other`."""
+        beams = self.object_columns is None or (other.object_columns or math.inf) <= self.object_columns
+        return beams and all(mine >= needed for mine, needed in zip(self.shape, other.shape, strict=True))
+
 
 def plan_window(mesh: Mesh, sonar: Sonar, ground_range: float, slack: float = 0.0) -> WindowSize:
     """The size of a window for an object at `ground_range` [m], give or take `slack` [m].

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -64,7 +65,7 @@ class Pose:
 def _spread_out(value: Any, shape: tuple[int, ...]) -> Any:
     """A field as float32 of `shape`; broadcasting host numbers on the host compiles nothing."""
     if isinstance(value, np.ndarray):
-        return jnp.asarray(np.broadcast_to(value, shape))
+        return jax.device_put(np.broadcast_to(value, shape))
     value = value if value.dtype == jnp.float32 else value.astype(jnp.float32)
     return value if value.shape == shape else jnp.broadcast_to(value, shape)
 

@@ -74,7 +74,7 @@ def load_segmenter(name: str | os.PathLike[str] = DEFAULT_SEGMENTER) -> Segmente
     threshold, tile = about.get("threshold"), about.get("tile", TILE)
     if not _is_number(threshold, optional=True) or len(tile) != 2 or not all(_is_number(v) and v > 0 for v in tile):
         raise SonarjaxError(f"{os.fspath(path)}: metadata: expected a number `threshold` and two numbers `tile`")
-    return Segmenter(text, threshold, load_generator(path), (int(tile[0]), int(tile[1])))
+    return Segmenter(text, threshold, load_generator(None if text == NETWORK else path), (int(tile[0]), int(tile[1])))
 
 
 def _is_number(value: Any, optional: bool = False) -> bool:

@@ -63,15 +63,38 @@ def save_generator(
 def load_generator(path: str | os.PathLike[str] | None = None) -> GeneratorWeights:
     """The generator of a file that `save_generator` wrote, in float32; without `path` the one shipped with the package.
 
+    The shipped file is not checked against the network: that takes a second, and a test does it.
+
     Raises SonarjaxError when the file is missing or damaged, or its arrays are not those of a generator.
     """
+    shipped = path is None
     path = shipped_path() if path is None else path
     arrays, _ = read_safetensors(path)
     name = os.fspath(path)
     module = _module_of(arrays, name)
+    if shipped:
+        return GeneratorWeights(_nested(arrays), module)
+    _check_arrays(arrays, module, name)
+    return GeneratorWeights(_nested(arrays), module)
+
+
+def _nested(arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """Variables for `module.apply` from arrays by the names of their places, in float32."""
+    variables: dict[str, Any] = {}
+    for place, array in arrays.items():
+        *folders, leaf = place.split(".")
+        inside = variables
+        for folder in folders:
+            inside = inside.setdefault(folder, {})
+        inside[leaf] = jax.device_put(array.astype(np.float32))
+    return variables
+
+
+def _check_arrays(arrays: Mapping[str, np.ndarray], module: Generator, name: str) -> None:
+    """Raises SonarjaxError when the arrays are not those of the network."""
     image = jax.ShapeDtypeStruct((1, 128, 128, 1), jnp.float32)
     expected = jax.eval_shape(module.init, jax.random.key(0), image)
-    flat, tree = jax.tree_util.tree_flatten_with_path(expected)
+    flat, _ = jax.tree_util.tree_flatten_with_path(expected)
     places = [jax.tree_util.keystr(place, simple=True, separator=".") for place, _ in flat]
     if set(places) != set(arrays):
         odd = sorted(set(places) ^ set(arrays))
@@ -79,8 +102,6 @@ def load_generator(path: str | os.PathLike[str] | None = None) -> GeneratorWeigh
     for place, (_, leaf) in zip(places, flat, strict=True):
         if arrays[place].shape != leaf.shape:
             raise SonarjaxError(f"{name}: {place}: expected shape {leaf.shape}, got {arrays[place].shape}")
-    leaves = [jnp.asarray(arrays[place].astype(np.float32)) for place in places]
-    return GeneratorWeights(jax.tree_util.tree_unflatten(tree, leaves), module)
 
 
 def shipped_path() -> Path:

@@ -38,7 +38,7 @@ class Sonar:
     Images have shape (range, beam): rows from near to far, columns in ascending azimuth (column 0 is starboard-most).
     """
 
-    azimuth: Float[Array, "beam"]
+    azimuth: Float[Array, "*batch beam"]
     """Beam centres in ascending order, growing to port [rad]; need not be evenly spaced."""
     range_min: Scalar
     """Near edge of the first range bin [m]."""
