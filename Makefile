@@ -1,6 +1,7 @@
-# make test        lint, format, types and tests          make reproduce   the main job: figures and report under runs/
-# make smoke       every experiment and notebook in brief  make bench       speed against peers
-# make format      rewrite the code in our format        make clean       remove the environment and the caches
+# make test        lint, format, types and fast tests     make test-all    all tests, then every experiment and notebook
+# make smoke       every experiment and notebook in brief  make reproduce   the main job: figures and report under runs/
+# make bench       speed against peers                    make format      rewrite the code in our format
+# make clean       remove the environment and the caches
 # Needs Python >= 3.11 with venv; name another interpreter with PYTHON=...
 
 VENV    ?= .venv
@@ -17,14 +18,18 @@ BIN   := $(VENV)/bin
 SPEC  := pyproject.toml constraints.txt
 PIP   := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: test smoke reproduce bench format clean
+.PHONY: test test-all smoke reproduce bench format clean
 .DELETE_ON_ERROR:
 
 test: $(VENV)/.stamp-test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy sonarjax
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -m "not slow"
+
+test-all: $(VENV)/.stamp-smoke
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile
+	$(MAKE) smoke
 
 smoke: $(VENV)/.stamp-smoke
 	$(BIN)/python -m experiments --smoke

@@ -19,6 +19,7 @@ import numpy as np
 
 import sonarjax as sj
 from experiments.ablate_template import YAWS, judged_at_place, scores_at_place
+from experiments.common.engine import engine
 from experiments.common.frames import GROUND_RANGE_M, TILTS_DEG, TestFrame, paper_frames, sonar_for
 from experiments.common.judge import target
 from experiments.common.launch import Report, launch
@@ -95,7 +96,8 @@ def _measure(
 def bank_with(error: Error, tilt_deg: float) -> sj.TemplateBank:
     """The target's bank for frames of `tilt_deg` [deg], rendered for a geometry with this error."""
     sonar = sonar_for(tilt_deg).replace(tilt=math.radians(tilt_deg + error.tilt_error_deg))
-    return sj.template_bank(target(), sonar, YAWS, x=GROUND_RANGE_M[tilt_deg] + error.distance_error_m)
+    x = GROUND_RANGE_M[tilt_deg] + error.distance_error_m
+    return sj.template_bank(target(), sonar, YAWS, x=x, engine=engine())
 
 
 def table(report: Report) -> str:

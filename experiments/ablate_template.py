@@ -17,6 +17,7 @@ from typing import Any, Literal
 import numpy as np
 
 import sonarjax as sj
+from experiments.common.engine import engine
 from experiments.common.frames import GROUND_RANGE_M, TestFrame, paper_frames, sonar_for
 from experiments.common.judge import target
 from experiments.common.launch import Report, launch
@@ -62,7 +63,10 @@ def run(settings: Settings, job: Job) -> Report:
 
 
 def _measure(frames: Sequence[TestFrame], parts: Sequence[Part], name: str) -> dict[str, dict[str, float]]:
-    banks = {tilt: sj.template_bank(target(), sonar_for(tilt), YAWS, x=away) for tilt, away in GROUND_RANGE_M.items()}
+    banks = {
+        tilt: sj.template_bank(target(), sonar_for(tilt), YAWS, x=away, engine=engine())
+        for tilt, away in GROUND_RANGE_M.items()
+    }
     maps = [map_of(name, frame) for frame in frames]
     found = {}
     for part in parts:

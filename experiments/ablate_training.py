@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from experiments.common.engine import engine
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns
 from experiments.common.runs import Job, code_digest
@@ -102,7 +103,7 @@ def _share_pairs(folder: Path, settings: Settings, seed: int) -> None:
     if (folder / MANIFEST).exists():
         return
     counts = {"train": settings.pairs, "validation": settings.validation_pairs}
-    made = [make_pairs(count, key=split_key(seed, split)) for split, count in counts.items()]
+    made = [make_pairs(count, key=split_key(seed, split), engine=engine()) for split, count in counts.items()]
     export_pairs(jax.tree.map(lambda *parts: jnp.concatenate(parts), *made), folder)
 
 

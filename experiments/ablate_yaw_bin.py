@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
@@ -19,12 +19,13 @@ from typing import NamedTuple
 import numpy as np
 
 import sonarjax as sj
-from experiments.common.frames import TILTS_DEG, TestFrame, paper_frames, sonar_for
+from experiments.common.frames import TILTS_DEG, TestFrame, paper_frames
 from experiments.common.judge import target
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import WITHIN_BIN_DEG, columns, summary_deg, yaw_error_deg
+from experiments.common.recognizers import recognizers, unrefined
 from experiments.common.runs import Job
-from experiments.common.segmenters import Name, asked_for
+from experiments.common.segmenters import Name, map_of, threshold_of
 
 ASTRAY_DEG = 20.0  # farther off than any bin's half: another aspect of the object was taken for this one
 HEADS = {
@@ -74,7 +75,7 @@ class Yaw(NamedTuple):
     yaw: float
     """Yaw [rad]."""
     milliseconds: float
-    """Time of `recognize` [ms]."""
+    """Time of segmentation and recognition [ms]."""
 
 
 def run(settings: Settings, job: Job) -> Report:
@@ -91,9 +92,10 @@ def run(settings: Settings, job: Job) -> Report:
 def _measure(frames: Sequence[TestFrame], case: tuple[str, int]) -> dict[str, float]:
     segmenter, width = case
     true = [frame.yaw for frame in frames]
+    recognizer_of = recognizers(target(), search=sj.SearchConfig(yaw_bins=360 // width))
     values = {f"floor_{name}": value for name, value in floor_deg(width).items()}
     for stage, refine in (("bin", False), ("yaw", True)):
-        found = [_find(frame, segmenter, width, refine) for frame in frames]
+        found = [_find(recognizer_of, frame, segmenter, refine) for frame in frames]
         error = yaw_error_deg([one.yaw for one in found], true)
         values |= {f"{stage}_{name}": value for name, value in summary_deg(error).items()}
         values[f"{stage}_right"] = float((error <= WITHIN_BIN_DEG * width / 10).mean())
@@ -103,10 +105,11 @@ def _measure(frames: Sequence[TestFrame], case: tuple[str, int]) -> dict[str, fl
     return values
 
 
-def _find(frame: TestFrame, segmenter: str, width: int, refine: bool) -> Yaw:
-    how, sonar = asked_for(segmenter, frame), sonar_for(frame.tilt_deg)
+def _find(recognizer_of: Callable[[float], sj.Recognizer], frame: TestFrame, segmenter: str, refine: bool) -> Yaw:
+    recognizer, threshold = recognizer_of(frame.tilt_deg), threshold_of(segmenter)
+    recognizer = recognizer if refine else unrefined(recognizer)
     started = time.perf_counter()
-    found = sj.recognize(frame.image, target(), sonar, **how, refine=refine, yaw_bins=360 // width)
+    found = recognizer(frame.image, semantic=map_of(segmenter, frame), threshold=threshold)
     return Yaw(found.yaw, 1e3 * (time.perf_counter() - started))
 
 

@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from experiments.common.engine import engine
 from experiments.common.launch import Report, Skipped, launch
 from experiments.common.metrics import columns
 from experiments.common.runs import Job
@@ -98,7 +99,8 @@ def bank_templates(count: int, settings: Settings) -> np.ndarray:
     sonar = Sonar.preset(
         "didson-hf", tilt=np.deg2rad(20.0), height=0.9, range_min=1.5, range_max=4.0, n_ranges=settings.ranges
     )
-    return np.asarray(template_bank(target(), sonar, np.arange(count) * (2 * np.pi / count), x=2.3).templates)
+    yaws = np.arange(count) * (2 * np.pi / count)
+    return np.asarray(template_bank(target(), sonar, yaws, x=2.3, engine=engine()).templates)
 
 
 def frame_with(template: np.ndarray, settings: Settings, seed: int) -> np.ndarray:

@@ -12,6 +12,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import jax
@@ -20,19 +21,19 @@ import numpy as np
 
 from experiments.bench_match import time_all
 from experiments.bench_render import make_sonar
+from experiments.common.engine import engine
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import markdown, yaw_error_deg
 from experiments.common.runs import Job
-from sonarjax import recognize
-from sonarjax._cores import quick_jit
-from sonarjax.refine import refine_yaw
-from sonarjax.refine.yaw import SUB_BEAMS
-from sonarjax.render import place_window, render, semantic_window, window_shape
+from sonarjax import Recognizer
+from sonarjax.refine import RefineConfig, refine_yaw
+from sonarjax.render import RenderQuality, WindowSize, place_window, plan_window, render, render_window
 from sonarjax.scene import Mesh, Pose
 from sonarjax.scene.objects import target
 from sonarjax.sonar import Sonar
 
-CONVERGED = 4  # sub-beams of the frames
+CONVERGED = RenderQuality(sub_beams=4)  # of the frames
+CONFIG = RefineConfig(polish=0)  # without derivatives, as `recognize` refines
 DIDSON_FRAMES_PER_SECOND = 21.0
 SMOKE = {"batch": 4, "hypotheses": 1, "frames": 2, "repeats": 1}
 
@@ -58,7 +59,7 @@ def make_frames(mesh: Mesh, sonar: Sonar, count: int, noise: float, seed: int) -
     rng = np.random.default_rng(seed)
     x, y, yaw = rng.uniform([2.2, -0.15, 0.0], [2.4, 0.15, 2 * math.pi], (count, 3)).astype(np.float32).T
     images = np.stack(
-        [render(mesh, Pose(*p), sonar, sub_beams=CONVERGED).semantic() for p in zip(x, y, yaw, strict=True)]
+        [render(mesh, Pose(*p), sonar, quality=CONVERGED).semantic() for p in zip(x, y, yaw, strict=True)]
     )
     noisy = images + noise * rng.normal(size=images.shape)
     return np.clip(noisy, 0, 1).astype(np.float32), Pose(x, y, yaw)
@@ -68,7 +69,7 @@ def near(pose: Pose, seed: int, axes: tuple[int, ...]) -> Pose:
     """Starts within 10 degrees and 2 cm of `pose`."""
     rng = np.random.default_rng(seed + 1)
     off = rng.uniform(-1, 1, (3, *axes)) * np.array([0.02, 0.02, math.radians(10)]).reshape(3, *(1,) * len(axes))
-    return Pose(*(np.float32(v + d) for v, d in zip((pose.x, pose.y, pose.yaw), off, strict=True)))
+    return Pose(*(np.asarray(v) + d for v, d in zip((pose.x, pose.y, pose.yaw), off, strict=True)))
 
 
 def refinements(
@@ -77,9 +78,10 @@ def refinements(
     """Name -> (frames, function) of each way to call `refine_yaw`."""
     first = Pose(poses.x[0], poses.y[0], poses.yaw[0])
     found: dict[str, tuple[int, Callable[[], Any]]] = {}
+    one = partial(refine_yaw, config=CONFIG, engine=engine())
 
     def add(name: str, count: int, image: np.ndarray, start: Pose) -> None:
-        found[name] = count, lambda: jax.tree.map(np.asarray, refine_yaw(image, mesh, sonar, start))
+        found[name] = count, lambda: jax.tree.map(np.asarray, one(image, mesh, sonar, start))
 
     add("refine_yaw, one frame", 1, frames[0], near(first, seed, ()))
     if settings.hypotheses > 1:
@@ -94,25 +96,27 @@ def refinements(
 def loss_functions(mesh: Mesh, sonar: Sonar, frame: np.ndarray, pose: Pose) -> dict[str, Callable[[], np.ndarray]]:
     """The window's sum of squares against a frame, and its value and gradient by yaw, x and y."""
     x, y = float(pose.x), float(pose.y)
-    shape = window_shape(mesh, sonar, math.hypot(x, y))
-    window = place_window(shape, mesh, sonar, x, y)
+    shape = plan_window(mesh, sonar, math.hypot(x, y)).shape
+    window = place_window(WindowSize(shape), mesh, sonar, x, y)
     row, column = int(window.row), int(window.column)
     part = jnp.asarray(frame[row : row + shape[0], column : column + shape[1]])
 
     def loss(p: jax.Array) -> jax.Array:
-        picture = semantic_window(mesh, Pose(p[1], p[2], p[0]), sonar, window, SUB_BEAMS, 64)
+        picture = render_window(mesh, Pose(p[1], p[2], p[0]), sonar, window, CONFIG.quality).semantic()
         return ((picture - part) ** 2).sum()
 
     at = jnp.asarray([float(pose.yaw) + 0.1, x + 0.01, y - 0.01], jnp.float32)
-    forward, both = quick_jit(loss), quick_jit(jax.value_and_grad(loss))
+    forward, both = jax.jit(loss), jax.jit(jax.value_and_grad(loss))
     return {"forward": lambda: np.asarray(forward(at)), "value and gradient": lambda: np.asarray(both(at)[1])}
 
 
 def recognition(mesh: Mesh, sonar: Sonar, frames: np.ndarray) -> tuple[float, list[float]]:
     """Seconds a frame of `recognize` without refinement once its banks are rendered, and the yaws of the bins [rad]."""
 
+    recognizer = Recognizer(mesh, sonar, segmenter="none", refine=None, engine=engine())
+
     def once() -> list[float]:
-        return [recognize(f, mesh, sonar, segmenter="none", refine=False).yaw_bin for f in frames]
+        return [recognizer(frame).yaw_bin for frame in frames]
 
     once()
     start = time.perf_counter()

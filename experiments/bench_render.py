@@ -19,6 +19,7 @@ import jax
 import numpy as np
 
 from experiments.bench_match import has, need, time_all
+from experiments.common.engine import engine
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import markdown
 from experiments.common.runs import Job
@@ -149,13 +150,15 @@ def _floor_range(rays: np.ndarray, height: float) -> np.ndarray:
 def compare(mesh: Mesh, sonar: Sonar, views: int, settings: Settings, variants: bool) -> dict[str, Any]:
     """Median seconds of one bank by each contender, and how far the labels agree with ours."""
     yaws = np.arange(views) * (2 * np.pi / views)
-    bank = template_bank(mesh, sonar, yaws, x=X_M)
-    functions = {OURS: lambda: np.asarray(template_bank(mesh, sonar, yaws, x=X_M).templates)}
+    render = partial(template_bank, mesh, sonar, yaws, x=X_M, engine=engine())
+    bank = render()
+    functions = {OURS: lambda: np.asarray(render().templates)}
     if settings.peer:
         frame = Embree(mesh, sonar, settings.elevations)
         functions[TURNED] = lambda: frame.turned_rays(X_M, yaws)
         if variants:
-            part = Embree(mesh, sonar, settings.elevations, (*bank.offset, *bank.templates.shape[1:]))
+            row, column = np.asarray(bank.offset).tolist()
+            part = Embree(mesh, sonar, settings.elevations, (row, column, *bank.templates.shape[1:]))
             functions[REBUILT] = lambda: frame.rebuilt_scene(X_M, yaws)
             functions["Embree, template's box only"] = lambda: part.turned_rays(X_M, yaws)
     seconds, results = time_all(functions, settings.repeats)
@@ -170,7 +173,7 @@ def compare(mesh: Mesh, sonar: Sonar, views: int, settings: Settings, variants: 
 
 def agreement(images: np.ndarray, bank: TemplateBank) -> float:
     """Share of the pixels in the bank's box that `images` or ours call highlight or shadow and both call the same."""
-    (row, column), (rows, columns) = bank.offset, bank.templates.shape[1:]
+    (row, column), (rows, columns) = np.asarray(bank.offset), bank.templates.shape[1:]
     if images.shape != bank.templates.shape:
         images = images[:, row : row + rows, column : column + columns]
     ours, theirs = (np.digitize(v, [0.25, 0.75]) for v in (np.asarray(bank.templates), images))

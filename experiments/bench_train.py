@@ -2,7 +2,7 @@
 
 python -m experiments.bench_train [--preset smoke] [--help]
 
-Each side runs in processes of its own, which keep their memory (see `segment.memory`), in turn with the other and on
+Each side runs in processes of its own, which keep their memory (see `cpu.keep_memory`), in turn with the other and on
 all cores; of several rounds the fastest step counts, since other programs only ever slow one down. Where they never
 rest, --one-core gives each side one core and counts the processor's time that it takes. PyTorch is in none of the
 project's extras; --no-peer times ours alone. The last line says how fast training pairs are made.
@@ -27,8 +27,8 @@ from experiments.bench_match import has, need
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import markdown
 from experiments.common.runs import Job
+from sonarjax.cpu import cores, keep_memory, tune
 from sonarjax.io import SonarjaxError
-from sonarjax.segment.memory import keep_memory
 
 PROJECT = Path(__file__).resolve().parent.parent
 SIDE = "from experiments import bench_train; bench_train.one_side()"  # what a process of one side runs
@@ -67,11 +67,6 @@ def fastest(function: Callable[[], Any], count: int, one_core: bool) -> float:
         function()
         seconds.append(clock() - start)
     return min(seconds)
-
-
-def cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def examples(count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -129,10 +124,13 @@ def time_pairs(_: int, settings: Settings) -> list[float]:
     """Seconds of one training pair, made among `PAIRS` at once."""
     import jax
 
+    from experiments.common.engine import engine
     from sonarjax.data import make_pairs, split_key
 
-    key = split_key(0, "train")
-    return [fastest(lambda: jax.block_until_ready(make_pairs(PAIRS, key=key)), 2, settings.one_core) / PAIRS]
+    def make() -> None:
+        jax.block_until_ready(make_pairs(PAIRS, key=split_key(0, "train"), engine=engine()))
+
+    return [fastest(make, 2, settings.one_core) / PAIRS]
 
 
 def in_process(side: str, width: int, settings: Settings) -> list[float]:
@@ -149,6 +147,7 @@ def one_side() -> None:
     side, width, settings = sys.argv[1], int(sys.argv[2]), Settings(**json.loads(sys.argv[3]))
     if settings.one_core and hasattr(os, "sched_setaffinity"):  # before either library starts its threads
         os.sched_setaffinity(0, [max(os.sched_getaffinity(0))])
+    tune()
     keep_memory()  # as training does; for both sides
     print(json.dumps({"ours": time_ours, "torch": time_torch, "pairs": time_pairs}[side](width, settings)))
 

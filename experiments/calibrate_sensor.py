@@ -21,6 +21,7 @@ import numpy as np
 from tqdm import tqdm
 
 import sonarjax as sj
+from experiments.common.engine import engine
 from experiments.common.frames import GROUND_RANGE_M, TILTS_DEG, VALIDATION_SEED, observed, sonar_for
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import markdown
@@ -68,7 +69,7 @@ def measure(tilt_deg: float, settings: Settings, *, key: jax.Array) -> tuple[dic
     """Correlations by name of one set at `tilt_deg` [deg], and its first target frame (range, beam)."""
     sonar, x = sonar_for(tilt_deg), GROUND_RANGE_M[tilt_deg]
     yaws = np.arange(BINS) * 2 * math.pi / BINS
-    bank = sj.template_bank(sj.objects.target(), sonar, yaws, x=x)
+    bank = sj.template_bank(sj.objects.target(), sonar, yaws, x=x, engine=engine())
     box = _box(bank, sonar)
     found: dict[str, list[float]] = {name: [] for name in (*COLUMNS, "right_bin")}
     first = np.zeros(0)
@@ -97,7 +98,7 @@ def _collect(found: dict[str, list[float]], scores: np.ndarray, is_target: bool,
 
 def _box(bank: sj.TemplateBank, sonar: sj.Sonar) -> tuple[slice, slice]:
     """The templates' box in the frame, with slack around it."""
-    sizes = zip(bank.offset, bank.templates.shape[1:], SLACK, sonar.shape, strict=True)
+    sizes = zip(np.asarray(bank.offset).tolist(), bank.templates.shape[1:], SLACK, sonar.shape, strict=True)
     rows, columns = (slice(max(start - slack, 0), min(start + size + slack, end)) for start, size, slack, end in sizes)
     return rows, columns
 

@@ -21,13 +21,15 @@ import jax
 import numpy as np
 
 import sonarjax as sj
+from experiments.common.engine import engine
 from experiments.common.frames import GROUND_RANGE_M, TILTS_DEG, TestFrame, paper_frames, sonar_for
 from experiments.common.judge import recognize_all, target
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns, summary_deg
+from experiments.common.recognizers import unrefined
 from experiments.common.runs import Job
-from experiments.common.segmenters import Name
-from sonarjax.segment import SEGMENTERS, semantic_map
+from experiments.common.segmenters import Name, loaded
+from sonarjax.segment import SEGMENTERS
 
 HALF_BIN_DEG = 5.0
 FLOOR = {"mean": HALF_BIN_DEG / 2, "rms": HALF_BIN_DEG / math.sqrt(3), "median": HALF_BIN_DEG / 2,
@@ -155,23 +157,26 @@ def _contenders(settings: Settings, frames: Sequence[TestFrame]) -> dict[str, Co
     yaw = np.array([frame.yaw for frame in batch], np.float32) + np.float32(math.radians(4.0))
 
     def refined(pick: Any) -> Any:
-        return sj.refine_yaw(maps[pick], target(), sonar, sj.Pose(x[pick], np.zeros_like(x)[pick], yaw[pick])).yaw
+        start, config = sj.Pose(x[pick], 0.0, yaw[pick]), sj.RefineConfig(polish=0)
+        return sj.refine_yaw(maps[pick], target(), sonar, start, config=config, engine=engine()).yaw
 
-    def recognized(count: int, name: str, refine: bool) -> None:
-        for frame in batch[:count]:  # `recognize` takes one frame at a time
-            sj.recognize(frame.image, target(), sonar, segmenter=name, refine=refine)
+    def recognized(count: int, recognizer: sj.Recognizer) -> None:
+        for frame in batch[:count]:  # a recognizer takes one frame at a time
+            recognizer(frame.image)
 
     found: dict[str, Contender] = {"refine_yaw": (lambda: refined(0), lambda: refined(slice(None)))}
     for name in settings.timed:
+        segmenter = loaded(name)
         if name != "none":
             found[f"segment, {name}"] = (
-                lambda n=name: semantic_map(batch[0].image, n),
-                lambda n=name: [semantic_map(frame.image, n) for frame in batch],
+                lambda s=segmenter: s.semantic(batch[0].image, engine=engine()),
+                lambda s=segmenter: [s.semantic(frame.image, engine=engine()) for frame in batch],
             )
-        for refine in (False, True):
-            found[f"recognize, {name}, {'' if refine else 'not '}refined"] = (
-                lambda n=name, r=refine: recognized(1, n, r),
-                lambda n=name, r=refine: recognized(len(batch), n, r),
+        refining = sj.Recognizer(target(), sonar, segmenter=segmenter, engine=engine())
+        for refined_or_not, recognizer in (("not refined", unrefined(refining)), ("refined", refining)):
+            found[f"recognize, {name}, {refined_or_not}"] = (
+                lambda r=recognizer: recognized(1, r),
+                lambda r=recognizer: recognized(len(batch), r),
             )
     return found
 

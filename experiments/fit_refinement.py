@@ -12,7 +12,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from statistics import NormalDist
 from typing import Any, NamedTuple
@@ -21,16 +21,19 @@ import numpy as np
 from tqdm import tqdm
 
 import sonarjax as sj
+from experiments.common.engine import engine
 from experiments.common.frames import TILTS_DEG, VALIDATION_SEED, TestFrame, paper_frames, sonar_for
+from experiments.common.judge import target
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns, summary_deg, yaw_error_deg
+from experiments.common.recognizers import recognizers
 from experiments.common.runs import Job
 from experiments.common.segmenters import Name, map_of
-from sonarjax.recognize import ON_FRAME, REFINEMENT
+from sonarjax.recognize import ECHO_ITERATIONS, FRAME_BLURS, MAP_REFINEMENT
 
 BLURS = ((2.0, 0.8), (4.0, 1.5), (1.0, 0.5))
 SHARPNESSES = (0.0, 10.0)
-MARGINS = (REFINEMENT["margin"], None)
+MARGINS = (MAP_REFINEMENT.margin, None)
 HALF = NormalDist().inv_cdf(0.75)
 
 HEADS = {
@@ -69,15 +72,16 @@ class Way(NamedTuple):
     """One way to refine."""
 
     on: str
-    """`map`, `frame`, or `both`: the map first, as `REFINEMENT` has it, then the frame."""
+    """`map`, `frame`, or `both`: the map first, as `MAP_REFINEMENT` has it, then the frame."""
     template: str
     blurs: tuple[float, ...]
     sharpness: float
     margin: tuple[int, int] | None
 
 
-USED = [Way("both", *(({"template": "semantic"} | way)[name] for name in Way._fields[1:])) for way in ON_FRAME]
-AS_USED = {way.get("template", "semantic"): way for way in ON_FRAME}  # with what is not compared, as the iterations
+# With what is not compared, as the iterations.
+AS_USED = {"semantic": MAP_REFINEMENT, "echo": replace(MAP_REFINEMENT, iterations=ECHO_ITERATIONS, template="echo")}
+USED = [Way("both", name, FRAME_BLURS, MAP_REFINEMENT.sharpness, MAP_REFINEMENT.margin) for name in AS_USED]
 BETTER = USED[0]._replace(template="better")  # what `recognize` does: of both, the one with the better score
 
 
@@ -135,18 +139,20 @@ def besides(error: np.ndarray, std: np.ndarray) -> float:
 
 def errors(frames: list[TestFrame], segmenter: str, most: int) -> dict[Way, np.ndarray]:
     """Yaw error [deg], `yaw_std` [deg] and score (3, frame) of each way from `recognize`'s start; 0 is all ways."""
-    mesh = sj.objects.target()
+    mesh, recognizer_of = target(), recognizers(target(), refine=None)
     found: dict[Way, list[tuple[float, ...]]] = defaultdict(list)
     for frame in tqdm(frames, desc=segmenter, unit="frame", leave=False):
         sonar, semantic = sonar_for(frame.tilt_deg), map_of(segmenter, frame)
-        start = sj.recognize(semantic, mesh, sonar, segmenter="none", refine=False)
+        start = recognizer_of(frame.tilt_deg)(semantic)
         pose = sj.Pose(start.x, start.y, start.yaw)
         begun = {"map": (semantic, pose), "frame": (frame.image, pose)}
-        begun["both"] = frame.image, sj.refine_yaw(semantic, mesh, sonar, pose, **REFINEMENT).pose
+        on_map = sj.refine_yaw(semantic, mesh, sonar, pose, config=MAP_REFINEMENT, engine=engine())
+        begun["both"] = frame.image, on_map.pose
         for way in ways(most, segmenter):
             image, at = begun[way.on]
-            settings = {name: getattr(way, name) for name in Way._fields[1:]}
-            estimate = sj.refine_yaw(image, mesh, sonar, at, **AS_USED[way.template] | settings)
+            tried = {"blurs": way.blurs, "sharpness": way.sharpness, "margin": way.margin}
+            config = replace(AS_USED[way.template], **tried)
+            estimate = sj.refine_yaw(image, mesh, sonar, at, config=config, engine=engine())
             error = yaw_error_deg(estimate.yaw, frame.yaw)
             found[way].append((float(error), math.degrees(float(estimate.yaw_std)), float(estimate.score)))
         found[BETTER].append(max((found[way][-1] for way in USED), key=lambda one: one[2]))

@@ -3,7 +3,7 @@
 python -m experiments.fit_threshold [--preset smoke] [--help]
 
 Validation frames have another seed than the test's, which play no part. The thresholds found stand in
-`sonarjax.recognize.THRESHOLDS` and `experiments.common.segmenters`.
+`sonarjax.segment.classical`, in the network's weights file and in `experiments.common.segmenters`.
 """
 
 from __future__ import annotations
@@ -16,9 +16,10 @@ import numpy as np
 from tqdm import tqdm
 
 import sonarjax as sj
-from experiments.common.frames import TILTS_DEG, VALIDATION_SEED, TestFrame, paper_frames, sonar_for
+from experiments.common.frames import TILTS_DEG, VALIDATION_SEED, TestFrame, paper_frames
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns
+from experiments.common.recognizers import recognizers
 from experiments.common.runs import Job
 from experiments.common.segmenters import Name, available, map_of
 
@@ -64,11 +65,10 @@ def run(settings: Settings, job: Job) -> Report:
 
 
 def _measure(frames: list[TestFrame], name: str) -> dict[str, Any]:
-    mesh = sj.objects.target()
+    recognizer_of = recognizers(sj.objects.target(), refine=None)
     scores: dict[bool, list[float]] = {True: [], False: []}
     for frame in tqdm(frames, desc=name, unit="frame", leave=False):
-        sonar = sonar_for(frame.tilt_deg)
-        result = sj.recognize(map_of(name, frame), mesh, sonar, segmenter="none", refine=False, threshold=0.0)
+        result = recognizer_of(frame.tilt_deg)(map_of(name, frame), threshold=0.0)
         scores[frame.is_target].append(result.score)
     target, other = np.array(scores[True]), np.array(scores[False])
     return {

@@ -20,12 +20,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from experiments.common.frames import sonar_for
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import markdown
 from experiments.common.runs import Job
-from sonarjax._cores import quick_jit
-from sonarjax.refine.yaw import SUB_BEAMS
-from sonarjax.render import Window, place_window, render_window, semantic_window, window_shape
+from sonarjax.refine import RefineConfig
+from sonarjax.render import RenderQuality, Window, WindowSize, place_window, plan_window, render_window
 from sonarjax.scene import Mesh, Pose, objects
 from sonarjax.sonar import Sonar
 
@@ -39,9 +39,9 @@ ELEVATIONS = 64
 LAYERS = ("intensity", "highlight", "shadow")
 BARS = {"median": 0.08, "p95": 0.25, "sign": 0.98, "forward": 0.03}
 CHUNK = 2000
-SONAR = Sonar.preset("didson-hf", tilt=math.radians(20.0), height=0.9, range_min=1.5, range_max=4.0)
-# A small frame of the same field of view, for the sweep over many poses.
-SMALL = SONAR.replace(azimuth=jnp.asarray(np.radians((np.arange(24) - 11.5) * 29 / 24), jnp.float32), n_ranges=96)
+TILT = 20.0  # of the sonar where none of TILTS is drawn [deg]
+SMALL = (96, 24)  # range bins and beams of a small frame of the same field of view, for the sweep over many poses
+SUB_BEAMS = RefineConfig().quality.sub_beams
 
 
 @dataclass(frozen=True)
@@ -80,14 +80,14 @@ def load_meshes(names: tuple[str, ...]) -> dict[str, Mesh]:
     meshes = {name: MESHES[name]() for name in names}
 
     def sizes(mesh: Mesh) -> tuple:
-        return mesh.vertices.shape, mesh.faces.shape, mesh.crease.shape, mesh.closed
+        return mesh.vertices.shape, mesh.faces.shape, mesh.crease.shape, bool(mesh.closed)
 
     shared = {}
     for name, mesh in meshes.items():
         alike = [other for other in meshes.values() if sizes(other) == sizes(mesh)]
         bounds = {
             key: max(getattr(other, key) for other in alike)
-            for key in ("crossings", "front", "crossing", "radius", "top")
+            for key in ("crossings", "front", "intersecting", "radius", "top")
         }
         shared[name] = replace(mesh, **bounds)
     return shared
@@ -98,7 +98,8 @@ def load_meshes(names: tuple[str, ...]) -> dict[str, Mesh]:
 
 def picture(mesh: Mesh, sonar: Sonar, p: Any, window: Window, sub_beams: int) -> jax.Array:
     """Semantic window (range, beam) at p = (yaw, x, y)."""
-    return semantic_window(mesh, Pose(p[1], p[2], p[0]), sonar, window, sub_beams, ELEVATIONS)
+    quality = RenderQuality(sub_beams, ELEVATIONS)
+    return render_window(mesh, Pose(p[1], p[2], p[0]), sonar, window, quality).semantic()
 
 
 def losses(image: Any, aim: Any) -> jax.Array:
@@ -108,13 +109,13 @@ def losses(image: Any, aim: Any) -> jax.Array:
     return jnp.stack([((image - aim) ** 2).sum(), 1 - ncc])
 
 
-@partial(quick_jit, static_argnames=("shape", "sub_beams"))
+@partial(jax.jit, static_argnames=("shape", "sub_beams"))
 def pictures(mesh: Mesh, sonar: Sonar, points: Any, row: Any, column: Any, shape: Any, sub_beams: int) -> jax.Array:
     """Semantic windows (point, range, beam) at points (point, 3), one after another: all perturbations of a scene."""
     return jax.lax.map(lambda p: picture(mesh, sonar, p, Window(row, column, shape), sub_beams), points)
 
 
-@partial(quick_jit, static_argnames="sub_beams")
+@partial(jax.jit, static_argnames="sub_beams")
 def derivatives(mesh: Mesh, sonar: Sonar, p: Any, row: Any, column: Any, aim: Any, sub_beams: int) -> jax.Array:
     """Derivatives (loss, parameter) of both losses at p by reverse mode."""
 
@@ -124,12 +125,13 @@ def derivatives(mesh: Mesh, sonar: Sonar, p: Any, row: Any, column: Any, aim: An
     return jax.jacrev(both)(p)
 
 
-@partial(quick_jit, static_argnames=("shape", "sub_beams", "elevations"))
+@partial(jax.jit, static_argnames=("shape", "sub_beams", "elevations"))
 def layers(
     mesh: Mesh, sonar: Sonar, p: Any, row: Any, column: Any, shape: Any, sub_beams: int, elevations: int
 ) -> tuple[jax.Array, ...]:
     """Intensity, highlight and shadow (range, beam) of the window at p = (yaw, x, y)."""
-    out = render_window(mesh, Pose(p[1], p[2], p[0]), sonar, Window(row, column, shape), sub_beams, elevations)
+    quality = RenderQuality(sub_beams, elevations)
+    out = render_window(mesh, Pose(p[1], p[2], p[0]), sonar, Window(row, column, shape), quality)
     return out.intensity, out.highlight, out.shadow
 
 
@@ -142,7 +144,7 @@ def central(values: np.ndarray) -> np.ndarray:
 def check_scene(settings: Settings, scene: Scene) -> dict[str, Any]:
     """One scene: differences and, for each quality, derivatives, seconds and forward errors."""
     mesh, sonar, at, off, shape = scene
-    window = place_window(shape, mesh, sonar, float(at[1]), float(at[2]))
+    window = place_window(WindowSize(shape), mesh, sonar, float(at[1]), float(at[2]))
     corner = (window.row, window.column)
     steps = np.eye(3)[:, None] * STEPS[..., None]  # (parameter, step, 3)
     points = np.concatenate([np.stack([at + steps, at - steps]).reshape(-1, 3), (at + off)[None]])
@@ -179,10 +181,11 @@ def draw_scenes(settings: Settings, seed: int) -> dict[str, Scene]:
     """All scenes of all meshes by name."""
     rng, found = np.random.default_rng(seed), {}
     for name, mesh in load_meshes(settings.meshes).items():
-        shapes = [window_shape(mesh, SONAR, ground, 0.03) for ground in (NEAREST, math.hypot(FARTHEST, SIDE))]
+        grounds = NEAREST, math.hypot(FARTHEST, SIDE)
+        shapes = [plan_window(mesh, sonar_for(TILT), ground, 0.03).shape for ground in grounds]
         shape = max(s[0] for s in shapes), max(s[1] for s in shapes)
         for k in range(settings.scenes):
-            sonar = SONAR.replace(tilt=jnp.float32(math.radians(TILTS[k % len(TILTS)])))
+            sonar = sonar_for(TILT).replace(tilt=jnp.float32(math.radians(TILTS[k % len(TILTS)])))
             at = rng.uniform([0.0, NEAREST, -SIDE], [2 * math.pi, FARTHEST, SIDE])
             turned = rng.choice([-1, 1]) * rng.uniform(0.05, 0.15)
             off = np.array([turned, *rng.uniform(-0.012, 0.012, 2)])
@@ -215,17 +218,17 @@ def over_scenes(scenes: list[dict[str, Any]], quality: str) -> dict[str, Any]:
 # ---------------------------------------------------------------- finite everywhere
 
 
-@quick_jit
-def finite(mesh: Mesh, poses: Any) -> tuple[jax.Array, jax.Array]:
+@jax.jit
+def finite(mesh: Mesh, small: Sonar, poses: Any) -> tuple[jax.Array, jax.Array]:
     """Whether value and all gradients are finite (pose,), and the largest gradient by the pose (pose,).
 
     Poses (pose, 8) are (x, y, yaw, z, roll, pitch, tilt, height) [m, rad].
     """
-    weight = jnp.cos(jnp.arange(math.prod(SMALL.shape), dtype=jnp.float32)).reshape(SMALL.shape)
+    weight = jnp.cos(jnp.arange(math.prod(SMALL), dtype=jnp.float32)).reshape(SMALL)
 
     def value(q: jax.Array, vertices: jax.Array) -> jax.Array:
-        sonar = SMALL.replace(tilt=q[6], height=q[7])
-        out = render_window(mesh.with_vertices(vertices), Pose(*q[:6]), sonar, Window(0, 0, SMALL.shape), 1, 16)
+        sonar, quality = small.replace(tilt=q[6], height=q[7]), RenderQuality(1, 16)
+        out = render_window(mesh.with_vertices(vertices), Pose(*q[:6]), sonar, Window(0, 0, SMALL), quality)
         return (weight * (100 * out.intensity + out.highlight + 0.5 * out.shadow)).sum()
 
     def one(q: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -234,6 +237,12 @@ def finite(mesh: Mesh, poses: Any) -> tuple[jax.Array, jax.Array]:
         return good, jnp.abs(by_pose).max()
 
     return jax.lax.map(one, poses)
+
+
+def small_sonar() -> Sonar:
+    """The sonar of small frames."""
+    azimuth = np.radians((np.arange(SMALL[1]) + 0.5 - SMALL[1] / 2) * 29 / SMALL[1])
+    return sonar_for(TILT).replace(azimuth=jnp.asarray(azimuth, jnp.float32), n_ranges=SMALL[0])
 
 
 def random_poses(rng: np.random.Generator, count: int) -> np.ndarray:
@@ -258,11 +267,11 @@ def random_poses(rng: np.random.Generator, count: int) -> np.ndarray:
 def check_poses(settings: Settings, job: Job) -> dict[str, Any]:
     """How many poses give NaN or infinity, the first of them, and the share of poses at which the object is seen."""
     mesh, poses = objects.target(), random_poses(np.random.default_rng(job.seed), settings.poses)
-    chunk = min(CHUNK, settings.poses)
+    chunk, sonar = min(CHUNK, settings.poses), small_sonar()
 
     def check(first: int) -> dict[str, Any]:
         part = np.resize(poses[first : first + chunk], (chunk, 8))  # the last chunk is filled up: one compilation
-        fine, gradient = (np.asarray(v) for v in finite(mesh, jnp.asarray(part, jnp.float32)))
+        fine, gradient = (np.asarray(v) for v in finite(mesh, sonar, jnp.asarray(part, jnp.float32)))
         fine, gradient = fine[: len(poses) - first], gradient[: len(poses) - first]
         return {
             "bad": poses[first : first + chunk][~fine],

@@ -13,6 +13,7 @@ import jax
 import numpy as np
 
 import sonarjax as sj
+from experiments.common.engine import engine
 from experiments.common.frames import GROUND_RANGE_M, paper_frames, sonar_for
 from experiments.common.judge import target
 from experiments.common.launch import Report, launch
@@ -77,7 +78,7 @@ def _frames(settings: Settings, job: Job) -> dict[str, Any]:
 def _templates(settings: Settings) -> dict[str, Any]:
     """Fig. 3 and 7: the bank (yaw, range, beam), where it lies in the frame, and the model."""
     sonar, yaws = sonar_for(settings.tilt_deg), np.arange(settings.templates) * 2 * math.pi / settings.templates
-    bank = sj.template_bank(target(), sonar, yaws, x=GROUND_RANGE_M[settings.tilt_deg])
+    bank = sj.template_bank(target(), sonar, yaws, x=GROUND_RANGE_M[settings.tilt_deg], engine=engine())
     return {
         "templates": bank.templates,
         "yaw_deg": np.degrees(yaws),
@@ -97,7 +98,7 @@ def _meshes() -> dict[str, Any]:
 
 def _pairs(settings: Settings, job: Job) -> dict[str, Any]:
     """Fig. 5: images and labels (pair, 128, 128) as the network is trained on."""
-    pairs = jax.device_get(make_pairs(settings.pairs, key=split_key(job.seed, "train")))
+    pairs = jax.device_get(make_pairs(settings.pairs, key=split_key(job.seed, "train"), engine=engine()))
     return {"image": pairs.image, "labels": pairs.labels}
 
 

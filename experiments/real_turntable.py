@@ -22,22 +22,22 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-import jax
 import numpy as np
 from skimage.filters import median as median_filter
 from tqdm import tqdm
 
 import sonarjax as sj
+from experiments.common.engine import engine
 from experiments.common.launch import Report, Skipped, launch
 from experiments.common.metrics import columns, percentile_gap, yaw_error_deg
 from experiments.common.runs import Job
+from experiments.common.segmenters import loaded
 from experiments.common.sheets import COLUMNS, Panel, draw_sheet
 from sonarjax.match import between_bins
 from sonarjax.match.ncc import correlation_maps, prepare_bank
-from sonarjax.recognize import REFINEMENT, refine_on_frame
+from sonarjax.recognize import MAP_REFINEMENT, refine_on_frame
 from sonarjax.render.bank import bank_place
 from sonarjax.render.region import floor_point
-from sonarjax.segment import semantic_map
 
 MARGINS = {"tight crop": (2, 1), "fixed window": (40, 8)}
 """(bins, beams) around the union of all views of a bank."""
@@ -181,7 +181,7 @@ def _on_platform(sonar: sj.Sonar, settings: Settings) -> np.ndarray:
 def matched_image(image: np.ndarray, mask: np.ndarray, segmenter: str, width: int) -> np.ndarray:
     """The grey image (range, beam) that is matched: the median of the raw frame, or its segmentation."""
     if segmenter != "none":
-        return semantic_map(image, segmenter, mask)
+        return loaded(segmenter).semantic(image, mask, engine())
     smooth = median_filter(image, np.ones((width, width))) if width > 1 else image
     return np.where(mask, smooth, 0.5).astype(np.float32)
 
@@ -190,13 +190,13 @@ def by_recognize(data: Data, settings: Settings, segmenter: str) -> Found:
     """`recognize` as a user calls it: neither distance nor bearing is given. `none` gets the median of the frame."""
     yaws: dict[str, list[float]] = {"bin": [], "bin, parabola": []} | ({"refined": []} if settings.refine else {})
     found = Found(segmenter, "recognize", yaws, [], [], [])
+    refine = MAP_REFINEMENT if settings.refine else None
+    recognizer = sj.Recognizer(data.mesh, data.sonar, segmenter=loaded(segmenter), refine=refine, engine=engine())
     for image, mask in tqdm(list(zip(data.images, data.masks, strict=True)), desc=f"recognize, {segmenter}"):
         start = time.perf_counter()
         if segmenter == "none":  # otsu has its own median, the network needs none
             image = matched_image(image, mask, segmenter, settings.median)
-        result = sj.recognize(
-            image, data.mesh, data.sonar, segmenter=segmenter, mask=mask, refine=settings.refine, threshold=-1.0
-        )
+        result = recognizer(image, mask, threshold=-1.0)
         found.seconds.append(time.perf_counter() - start)
         best = int(np.argmax(result.scores_by_yaw))
         step = 2 * math.pi / len(result.scores_by_yaw)
@@ -220,11 +220,13 @@ def at_known_place(data: Data, settings: Settings, segmenter: str, search: str) 
     half = round(180 / settings.step)
     angles = np.arange(2 * half) * (math.pi / half)
     place = {"x": settings.platform_x, "y": settings.platform_y}
-    bank = sj.template_bank(data.mesh, data.sonar, angles, **place, margin=MARGINS[search], shape=data.sonar.shape)
+    how: dict[str, Any] = {"margin": MARGINS[search], "size": sj.WindowSize(data.sonar.shape), "engine": engine()}
+    bank = sj.template_bank(data.mesh, data.sonar, angles, **place, **how)
     prepared = prepare_bank(bank, data.sonar.shape, masked=True)
     height, width = bank.templates.shape[1:]
     rows, columns = (np.arange(n - m + 1) for n, m in zip(data.sonar.shape, (height, width), strict=True))
-    places = _moved(data.sonar, bank, rows[:, None] - bank.offset[0], columns[None, :] - bank.offset[1])
+    top, left = np.asarray(bank.offset)
+    places = _moved(data.sonar, bank, rows[:, None] - top, columns[None, :] - left)
     allowed = np.hypot(places[0] - settings.platform_x, places[1] - settings.platform_y) <= settings.reach
     for image, mask in tqdm(list(zip(data.images, data.masks, strict=True)), desc=f"{search}, {segmenter}"):
         start = time.perf_counter()
@@ -239,11 +241,12 @@ def at_known_place(data: Data, settings: Settings, segmenter: str, search: str) 
         x, y = float(places[0][row, column]), float(places[1][row, column])
         pose = sj.Pose(x, y, yaw)
         if settings.refine:
-            on_map = sj.refine_yaw(grey, data.mesh, data.sonar, pose, mask=mask, **REFINEMENT).pose
+            how = {"config": MAP_REFINEMENT, "engine": engine()}
+            on_map = sj.refine_yaw(grey, data.mesh, data.sonar, pose, mask=mask, **how).pose
             frame = grey if segmenter == "none" else np.where(mask, image, 0.5).astype(np.float32)
-            pose = jax.tree.map(float, refine_on_frame(frame, data.mesh, data.sonar, on_map, mask).pose)
+            pose = refine_on_frame(frame, data.mesh, data.sonar, on_map, mask, **how).pose
             yaws["refined, map alone"].append(float(on_map.yaw))
-            yaws["refined"].append(pose.yaw)
+            yaws["refined"].append(float(pose.yaw))
         found.seconds.append(time.perf_counter() - start)
         yaws["bin"].append(float(angles[best]))
         yaws["bin, parabola"].append(yaw)
@@ -417,10 +420,11 @@ def _draw_maps(path: Path, data: Data, settings: Settings) -> Path:
     """Contact sheet: raw frames, and under each what the network makes of it."""
     chosen = _spread_over(len(data.names), min(settings.sheet, 2 * COLUMNS))
     panels: list[Panel | None] = []
+    network = loaded("pix2pix")
     for first in range(0, len(chosen), COLUMNS):
         line = chosen[first : first + COLUMNS]
         empty = [None] * (min(COLUMNS, len(chosen)) - len(line))
-        maps = [Panel(semantic_map(data.images[k], "pix2pix", data.masks[k]), 1.0) for k in line]
+        maps = [Panel(network.semantic(data.images[k], data.masks[k], engine()), 1.0) for k in line]
         panels += [*(_panel(data, k) for k in line), *empty, *maps, *empty]
     about = "real frames, and under each the map that pix2pix makes of it: highlight white, shadow black"
     return draw_sheet(path, panels, data.sonar, about)

@@ -36,9 +36,10 @@ from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns, yaw_error_deg
 from experiments.common.runs import Job, code_digest
 from experiments.common.stream import WAYS, Finder, Named, frames_of, picture, seconds_of, taken_up, turning
+from sonarjax.cli import SCHEMA
+from sonarjax.cli import _record as to_json
 from sonarjax.io import JsonLines, SonarjaxError
 from sonarjax.plot import save_figure
-from sonarjax.recognize import to_json
 from sonarjax.sensor import SensorModel
 
 SIMULATED_TILT_DEG = 20.0
@@ -156,7 +157,7 @@ def _record(finder: Finder, label: str, frame: Any, seen: set[bool]) -> dict[str
     except SonarjaxError as error:
         message = " ".join(str(error).split())
         tqdm.write(f"recognize_stream: {message if label in message else f'{label}: {message}'}", file=sys.stderr)
-        return {"frame": label, "error": message, "schema": 1}
+        return {"frame": label, "error": message, "schema": SCHEMA}
     # The first recognized and the first tracked frame compile: `warm` is what speed is judged by.
     warm = tracked in seen
     seen.add(tracked)

@@ -13,7 +13,7 @@ them a draw at 0.1 % noise is taken, which says more about the size to be expect
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -21,16 +21,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from experiments.common.engine import engine
 from experiments.common.frames import GROUND_RANGE_M, TILTS_DEG, sonar_for
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns, summary_deg, yaw_error_deg
 from experiments.common.runs import Job
-from sonarjax._cores import quick_jit
-from sonarjax.refine import refine_yaw
-from sonarjax.render import Window, place_window, render_window, window_shape
+from sonarjax.refine import RefineConfig, refine_yaw
+from sonarjax.render import RenderQuality, Window, place_window, plan_window, render_window
 from sonarjax.scene import Mesh, Pose
 from sonarjax.scene.objects import target
-from sonarjax.segment.classical import to_grey
+from sonarjax.segment import to_grey
 from sonarjax.sonar import Sonar
 
 CASES = ((10.0, 0.0), (10.0, 0.08), (20.0, 0.0))  # largest start error [deg], probability that a label is replaced
@@ -60,41 +60,40 @@ class Settings:
     """Largest error of the start in x and in y [m]."""
     sub_beams: int = 6
     """Quality of the renders that the labels and the bound are made of."""
+    polish: int = 0
+    """Further renders of `refine_yaw` at the last blur; 0 as `recognize` has it."""
 
 
-def shares(mesh: Mesh, sonar: Sonar, pose: jax.Array, corner: Any, shape: tuple[int, int], sub_beams: int) -> jax.Array:
+def shares(mesh: Mesh, sonar: Sonar, pose: jax.Array, window: Window, sub_beams: int) -> jax.Array:
     """Shares (class, range, beam) of background, highlight and shadow at `pose` = (yaw, x, y)."""
-    window = Window(corner[0], corner[1], shape)
-    layers = render_window(mesh, Pose(pose[1], pose[2], pose[0]), sonar, window, sub_beams, 64)
-    h, s = layers.highlight, layers.shadow
+    frame = render_window(mesh, Pose(pose[1], pose[2], pose[0]), sonar, window, RenderQuality(sub_beams))
+    h, s = frame.highlight, frame.shadow
     return jnp.stack([(1 - h) * (1 - s), h, s * (1 - h)])
 
 
-@partial(quick_jit, static_argnames="sub_beams")
+@partial(jax.jit, static_argnames="sub_beams")
 def labels_at(mesh: Mesh, sonar: Sonar, poses: jax.Array, sub_beams: int) -> jax.Array:
     """The class (frame, range, beam) with the largest share at `poses` (frame, 3)."""
 
     def one(pose: jax.Array) -> jax.Array:
-        return jnp.argmax(shares(mesh, sonar, pose, (0, 0), sonar.shape, sub_beams), 0)
+        return jnp.argmax(shares(mesh, sonar, pose, Window(0, 0, sonar.shape), sub_beams), 0)
 
     return jax.lax.map(one, poses)
 
 
-@partial(quick_jit, static_argnames=("shape", "sub_beams"))
-def bounds(
-    mesh: Mesh, sonar: Sonar, poses: jax.Array, corners: Any, noise: Any, shape: tuple[int, int], sub_beams: int
-) -> jax.Array:
-    """Least standard deviation of yaw (frame,) [rad] of any unbiased estimate, for poses (frame, 3)."""
+@partial(jax.jit, static_argnames="sub_beams")
+def bounds(mesh: Mesh, sonar: Sonar, poses: jax.Array, windows: Window, noise: Any, sub_beams: int) -> jax.Array:
+    """Least standard deviation of yaw (frame,) [rad] of any unbiased estimate, for poses (frame, 3) and windows."""
 
-    def one(args: tuple[jax.Array, Any]) -> jax.Array:
-        pose, corner = args
-        draw = partial(shares, mesh, sonar, corner=corner, shape=shape, sub_beams=sub_beams)
+    def one(args: tuple[jax.Array, Window]) -> jax.Array:
+        pose, window = args
+        draw = partial(shares, mesh, sonar, window=window, sub_beams=sub_beams)
         mixed = (1 - noise) * draw(pose) + noise / 3
         slope = (1 - noise) * jax.jacfwd(draw)(pose)
         information = jnp.einsum("crbi,crbj,crb->ij", slope, slope, 1 / jnp.maximum(mixed, 1e-6))
         return jnp.sqrt(jnp.linalg.inv(information)[0, 0])
 
-    return jax.lax.map(one, (poses, corners))
+    return jax.lax.map(one, (poses, windows))
 
 
 def measure(settings: Settings, seed: int, case: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray]:
@@ -110,11 +109,13 @@ def measure(settings: Settings, seed: int, case: tuple[float, float, float]) -> 
     labels = np.where(replaced, rng.integers(0, 3, labels.shape), labels)
     off = rng.uniform(-1, 1, (count, 3)) * [math.radians(start_deg), reach, reach]
     yaw, x, y = (poses + off).astype(np.float32).T
-    error = yaw_error_deg(refine_yaw(to_grey(labels), mesh, sonar, Pose(x, y, yaw)).yaw, poses[:, 0])
-    shape = window_shape(mesh, sonar, away, 0.05)
-    windows = [place_window(shape, mesh, sonar, float(p[1]), float(p[2])) for p in poses]
-    corners = tuple(jnp.asarray([int(v) for v in values]) for values in zip(*(w[:2] for w in windows), strict=True))
-    bound = bounds(mesh, sonar, poses, corners, max(noise, 1e-3), shape, settings.sub_beams)
+    config = RefineConfig(polish=settings.polish)
+    found = refine_yaw(to_grey(labels), mesh, sonar, Pose(x, y, yaw), config=config, engine=engine())
+    error = yaw_error_deg(found.yaw, poses[:, 0])
+    # The object may touch any of the window's beams: a pose is up to 15 cm aside.
+    size = replace(plan_window(mesh, sonar, away, 0.05), object_columns=None)
+    windows = place_window(size, mesh, sonar, poses[:, 1], poses[:, 2])
+    bound = bounds(mesh, sonar, poses, windows, max(noise, 1e-3), settings.sub_beams)
     return error, np.degrees(np.asarray(bound))
 
 

@@ -3,7 +3,7 @@
 python -m experiments.symmetric_objects [--preset smoke] [--help]
 
 A square box (the same every 90°), a cylinder lying down and a pile of bricks that is the same after half a turn, at
-random yaws and places on noisy frames. `recognize` gives up to HYPOTHESES yaws: for such objects it should say so by
+random yaws and places on noisy frames. `recognize` gives up to two yaws: for such objects it should say so by
 two of them, each right but for the object's symmetry, so all errors here are taken modulo that.
 """
 
@@ -19,11 +19,12 @@ import jax.numpy as jnp
 import numpy as np
 
 import sonarjax as sj
+from experiments.common.engine import engine
 from experiments.common.frames import GROUND_RANGE_M, observed, sonar_for
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns, yaw_error_deg
 from experiments.common.runs import Job
-from sonarjax.recognize import HYPOTHESES
+from experiments.common.segmenters import loaded
 from sonarjax.scene.objects import BRICK_M, box, cylinder_arrays, join
 from sonarjax.sensor import SensorModel
 
@@ -129,11 +130,13 @@ def _frames(mesh: sj.Mesh, settings: Settings, key: jax.Array) -> list[Drawn]:
 def _measure(mesh: sj.Mesh, frames: list[Drawn]) -> Callable[[str], dict[str, Any]]:
     """What finds the hypotheses: yaws [deg] and scores (frame, hypothesis), NaN where there are fewer."""
 
+    recognizer = sj.Recognizer(mesh, sonar_for(TILT_DEG), segmenter="none", engine=engine())
+
     def measure(segmenter: str) -> dict[str, Any]:
-        found = np.full((2, len(frames), HYPOTHESES), np.nan)
+        found = np.full((2, len(frames), recognizer.search.hypotheses), np.nan)
         for k, (_, image, clean) in enumerate(frames):
-            how = {"semantic": clean, "threshold": 0.0} if segmenter == "truth" else {"segmenter": segmenter}
-            for n, h in enumerate(sj.recognize(image, mesh, sonar_for(TILT_DEG), **how).hypotheses):
+            seen = clean if segmenter == "truth" else loaded(segmenter).semantic(image, engine=engine())
+            for n, h in enumerate(recognizer(image, semantic=seen, threshold=0.0).hypotheses):
                 found[:, k, n] = math.degrees(h.yaw), h.score
         return {"yaw_deg": found[0], "score": found[1]}
 

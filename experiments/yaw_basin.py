@@ -11,25 +11,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal
 
-import jax.numpy as jnp
 import numpy as np
 
 import sonarjax as sj
+from experiments.common.engine import engine
 from experiments.common.frames import GROUND_RANGE_M, TILTS_DEG, TestFrame, paper_frames, sonar_for
 from experiments.common.judge import target
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns, yaw_error_deg
 from experiments.common.runs import Job
-from sonarjax.refine.yaw import BLURS_PX, BOUNDS, ITERATIONS, SHARPNESS
-from sonarjax.segment import semantic_map
-from sonarjax.segment.classical import to_grey
+from experiments.common.segmenters import map_of
+from sonarjax.segment import to_grey
 
-SHARPNESS_OF = {"labels": SHARPNESS, "pix2pix": 0.0}
-CONVERGED = 8  # sub-beams of the renders that labels are made of
+CONFIG = sj.RefineConfig(polish=0)  # its defaults, as far as the estimate goes: derivatives of it are not asked for
+SHARPNESS_OF = {"labels": CONFIG.sharpness, "pix2pix": 0.0}
+CONVERGED = sj.RenderQuality(sub_beams=8)
+"""Quality of the renders that labels are made of."""
 START_STEP_DEG = 5.0
 HEADS = {
     "map": "map",
@@ -68,11 +69,12 @@ def run(settings: Settings, job: Job) -> Report:
     ends: dict[str, np.ndarray] = {}
     for name in settings.maps:
         images = [image_of(name, frame) for frame in frames]
-        for blurs in (BLURS_PX, BLURS_PX[1:]) if settings.fine else (BLURS_PX,):
+        for blurs in (CONFIG.blurs, CONFIG.blurs[1:]) if settings.fine else (CONFIG.blurs,):
             said = ", ".join(f"{blur:g}" for blur in blurs)
             # As many iterations in all, or a short ladder would also reach less far.
-            how = {"blurs": blurs, "iterations": ITERATIONS * len(BLURS_PX) // len(blurs)}
-            one = partial(_ends, off, how | {"sharpness": SHARPNESS_OF[name]}, settings, job.seed)
+            iterations = CONFIG.iterations * len(CONFIG.blurs) // len(blurs)
+            config = replace(CONFIG, blurs=blurs, iterations=iterations, sharpness=SHARPNESS_OF[name])
+            one = partial(_ends, off, config, settings, job.seed)
             cases = {str(k): (frames[k], images[k], k) for k in range(len(frames))}
             errors = np.array(list(job.map(one, cases, f"{name}, blurs {said}").values()), float)
             ends[f"{name}_{len(blurs)}_blurs_error_deg"] = errors
@@ -93,24 +95,26 @@ def target_frames(seed: int, step_deg: int, tilts_deg: Sequence[float] = TILTS_D
 def image_of(name: MapName, frame: TestFrame) -> np.ndarray:
     """The image (range, beam) that is refined on: labels of a converged render, or the network's map."""
     if name == "pix2pix":
-        return semantic_map(frame.image, "pix2pix")
-    rendered = sj.render(target(), moved(frame), sonar_for(frame.tilt_deg), sub_beams=CONVERGED)
+        return map_of(name, frame)
+    rendered = sj.render(target(), moved(frame), sonar_for(frame.tilt_deg), quality=CONVERGED)
     return to_grey(np.asarray(rendered.labels()))
 
 
 def moved(frame: TestFrame, yaw_deg: Any = 0.0, x: Any = 0.0, y: Any = 0.0) -> sj.Pose:
     """The true pose of a frame's object, moved by angles [deg] and lengths [m]."""
     away = GROUND_RANGE_M[frame.tilt_deg]
-    return sj.Pose(*(jnp.asarray(v, jnp.float32) for v in (away + x, 0.0 + y, frame.yaw + np.radians(yaw_deg))))
+    return sj.Pose(away + x, y, frame.yaw + np.radians(yaw_deg))
 
 
-def _ends(off: np.ndarray, how: dict[str, Any], settings: Settings, seed: int, case: Any) -> np.ndarray:
+def _ends(off: np.ndarray, config: sj.RefineConfig, settings: Settings, seed: int, case: Any) -> np.ndarray:
     """Errors (start,) [deg] at which refinement ends, of starts whose yaw is `off` [deg], and x and y a little."""
     frame, image, number = case
     aside = np.random.default_rng([seed, number]).uniform(-1, 1, (2, len(off))) * settings.position_m
     # The default bounds would cut off what starts 40° away.
-    bounds = (max(BOUNDS[0], math.radians(settings.reach_deg + 20.0)), *BOUNDS[1:])
-    found = sj.refine_yaw(image, target(), sonar_for(frame.tilt_deg), moved(frame, off, *aside), bounds=bounds, **how)
+    yaw, x, y = config.bounds
+    config = replace(config, bounds=(max(yaw, math.radians(settings.reach_deg + 20.0)), x, y))
+    start, sonar = moved(frame, off, *aside), sonar_for(frame.tilt_deg)
+    found = sj.refine_yaw(image, target(), sonar, start, config=config, engine=engine())
     return yaw_error_deg(found.yaw, frame.yaw)
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -20,17 +20,18 @@ import jax.numpy as jnp
 import numpy as np
 
 import sonarjax as sj
+from experiments.common.engine import engine
 from experiments.common.frames import GROUND_RANGE_M, TestFrame, sonar_for
 from experiments.common.judge import target
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns
 from experiments.common.runs import Job
-from experiments.yaw_basin import CONVERGED, SHARPNESS_OF, MapName, image_of, moved, target_frames
-from sonarjax._cores import quick_jit
-from sonarjax.refine.objective import ROW_STRIDE, Blur, Problem, make_blur, normalised
-from sonarjax.refine.template import draw_with_slope
-from sonarjax.refine.yaw import BLURS_PX, BOUNDS, ITERATIONS, SLACK_M, SUB_BEAMS, window_size
-from sonarjax.render import Window, place_window
+from experiments.yaw_basin import CONFIG, CONVERGED, SHARPNESS_OF, MapName, image_of, moved, target_frames
+from sonarjax.refine import plan_refinement
+from sonarjax.refine.objective import ROW_STRIDE, Blur, make_blur, normalised
+from sonarjax.refine.template import VIEWS, Subject, draw
+from sonarjax.refine.yaw import SLACK_M
+from sonarjax.render import place_window
 
 LINE_STEP_DEG = 0.25  # so that central differences span half a degree, about the longest step of gradient_check
 SHOWN_TILT_DEG = 20.0
@@ -77,11 +78,11 @@ def run(settings: Settings, job: Job) -> Report:
         values = {key: np.array(v, float) for key, v in parts.items()}
         arrays |= {f"{name}_{key}": v for key, v in values.items()}
         rows += [{"map": name} | row for row in judged(*(values[key] for key in ("derivative", "differences", "own")))]
-    job.arrays("derivatives", yaw_deg=line_deg(settings)[1:-1], blur=BLURS_PX, **arrays)
+    job.arrays("derivatives", yaw_deg=line_deg(settings)[1:-1], blur=CONFIG.blurs, **arrays)
     paths = []
     for name, parts in job.map(lambda name: _landscape(name, shown, settings), settings.maps, "landscape").items():
         values = {key: np.array(v, float) for key, v in parts.items()}
-        job.arrays(f"landscape_{name}", blur=BLURS_PX, image=image_of(name, shown), **values)
+        job.arrays(f"landscape_{name}", blur=CONFIG.blurs, image=image_of(name, shown), **values)
         for start, end in zip(parts["path"][0], parts["end"], strict=True):
             ends = zip(("start_deg", "start_m", "end_deg", "end_m"), (*start, *end), strict=True)
             paths.append({"map": name, **dict(ends)})
@@ -91,36 +92,37 @@ def run(settings: Settings, job: Job) -> Report:
 # ---------------------------------------------------------------- the loss and its derivative
 
 
-def loss(problem: Problem, blur: Blur, drawn: jax.Array) -> jax.Array:
+def loss(image: jax.Array, blur: Blur, drawn: jax.Array) -> jax.Array:
     """What the solver minimises for a template (range, beam): 1 − NCC of the blurred images."""
-    weight = problem.weight[::ROW_STRIDE]
-    seen, fitted = (normalised(blur(v * problem.weight), weight) for v in (problem.image, drawn))
+    weight = jnp.ones(image.shape)[::ROW_STRIDE]
+    seen, fitted = (normalised(blur(v), weight) for v in (image, drawn))
     return 1 - (seen * fitted).sum()
 
 
-def losses_at(image: Any, frame: TestFrame, sharpness: float, steps: np.ndarray, sub_beams: int) -> list[np.ndarray]:
+def losses_at(
+    image: Any, frame: TestFrame, sharpness: float, steps: np.ndarray, quality: sj.RenderQuality
+) -> list[np.ndarray]:
     """Loss (step, blur) `steps` (step, 3) = yaw [rad], x, y [m] off the truth, and its derivative by yaw [1/rad]."""
     mesh, sonar, at = target(), sonar_for(frame.tilt_deg), moved(frame)
-    shape, beams = window_size(mesh, sonar, at, BOUNDS)  # the window is refine_yaw's own
-    row, column, *_ = place_window(shape, mesh, sonar, at.x, at.y, SLACK_M)
-    part = jax.lax.dynamic_slice(jnp.asarray(image, jnp.float32), (row, column), shape)
-    problem = part, at, jnp.float32(sharpness), (row, column), mesh, sonar
+    size = plan_refinement(mesh, sonar, at, CONFIG)  # the window is refine_yaw's own
+    window = place_window(size, mesh, sonar, at.x, at.y, SLACK_M)
+    part = jax.lax.dynamic_slice(jnp.asarray(image, jnp.float32), (window.row, window.column), size.shape)
+    subject = Subject(mesh, sonar, at, window, jnp.float32(sharpness), jnp.int32(VIEWS["semantic"]), quality)
     # In parts of one size, the last filled up: lines and landscapes share compiled code.
     filled = np.resize(steps, (-(-len(steps) // CHUNK) * CHUNK, 3)).astype(np.float32)
-    found = [_losses(*problem, few, beams, sub_beams) for few in filled.reshape(-1, CHUNK, 3)]
+    found = [_losses(part, subject, few) for few in filled.reshape(-1, CHUNK, 3)]
     return [np.concatenate(values)[: len(steps)].astype(float) for values in zip(*found, strict=True)]
 
 
-@partial(quick_jit, static_argnames=("beams", "sub_beams"))
-def _losses(
-    part: Any, at: Any, sharpness: Any, corner: Any, mesh: Any, sonar: Any, steps: Any, beams: int, sub_beams: int
-) -> Any:
-    problem = Problem(part, jnp.ones(part.shape), at, Window(*corner, part.shape, beams), sharpness)
-    blurs = [make_blur(part.shape, sigma) for sigma in BLURS_PX]
+@jax.jit
+def _losses(part: Any, subject: Subject, steps: Any) -> Any:
+    blurs = [make_blur(part.shape, sigma) for sigma in CONFIG.blurs]
+    by_yaw = jnp.array([1.0, 0.0, 0.0, 0.0])
 
     def one(step: jax.Array) -> tuple[jax.Array, ...]:
-        drawn, slope = draw_with_slope(problem, mesh, sonar, step, sub_beams, "semantic")
-        pairs = [jax.jvp(partial(loss, problem, blur), (drawn,), (slope[0],)) for blur in blurs]
+        # The fourth number is the energy of a bounce, which only the echo has.
+        drawn, slope = jax.jvp(partial(draw, subject), (jnp.append(step, 0.0),), (by_yaw,))
+        pairs = [jax.jvp(partial(loss, part, blur), (drawn,), (slope,)) for blur in blurs]
         return tuple(jnp.stack(v) for v in zip(*pairs, strict=True))
 
     return jax.lax.map(one, steps)
@@ -137,8 +139,8 @@ def _line(name: MapName, frames: Sequence[TestFrame], settings: Settings) -> dic
     steps = np.radians(line_deg(settings))[:, None] * [1.0, 0.0, 0.0]
     parts = []
     for frame in frames:
-        draw = partial(losses_at, image_of(name, frame), frame, SHARPNESS_OF[name], steps)
-        (own, derivative), (finer, _) = draw(SUB_BEAMS), draw(CONVERGED)
+        values_at = partial(losses_at, image_of(name, frame), frame, SHARPNESS_OF[name], steps)
+        (own, derivative), (finer, _) = values_at(CONFIG.quality), values_at(CONVERGED)
         parts.append((own[1:-1], finer[1:-1], derivative[1:-1], central(finer), central(own)))
     keys = ("loss", "converged_loss", "derivative", "differences", "own")
     return {key: np.stack(values) for key, values in zip(keys, zip(*parts, strict=True), strict=True)}
@@ -152,7 +154,7 @@ def central(values: np.ndarray) -> np.ndarray:
 def judged(ours: np.ndarray, finer: np.ndarray, own: np.ndarray) -> list[dict[str, float]]:
     """A row for each blur, of derivatives and differences (frame, point, blur): errors as shares of the RMS."""
     rows = []
-    for k, blur in enumerate(BLURS_PX):
+    for k, blur in enumerate(CONFIG.blurs):
         rms = math.sqrt((finer[..., k] ** 2).mean())
         clear = np.abs(finer[..., k]) > CLEAR * rms
         error, own_error = (math.sqrt(((ours[..., k] - other[..., k]) ** 2).mean()) / rms for other in (finer, own))
@@ -169,15 +171,17 @@ def _landscape(name: MapName, frame: TestFrame, settings: Settings) -> dict[str,
     image, count = image_of(name, frame), settings.grid
     yaws, xs = (np.linspace(-reach, reach, count) for reach in (settings.reach_deg, settings.reach_m))
     steps = np.stack(np.meshgrid(np.radians(yaws), xs, 0.0, indexing="ij"), axis=-1).reshape(-1, 3)
-    values, _ = losses_at(image, frame, SHARPNESS_OF[name], steps, SUB_BEAMS)
-    refine = partial(sj.refine_yaw, image, target(), sonar_for(frame.tilt_deg), sharpness=SHARPNESS_OF[name])
+    values, _ = losses_at(image, frame, SHARPNESS_OF[name], steps, CONFIG.quality)
+    config = replace(CONFIG, sharpness=SHARPNESS_OF[name])
+    refine = partial(sj.refine_yaw, image, target(), sonar_for(frame.tilt_deg), engine=engine())
     way = [moved(frame, *STARTS.T)]
-    for blur in (blur for blur in BLURS_PX for _ in range(ITERATIONS)):
-        way.append(refine(way[-1], blurs=(blur,), iterations=1).pose)  # step by step; none that makes it worse
+    for blur in (blur for blur in CONFIG.blurs for _ in range(CONFIG.iterations)):
+        # Step by step; none that makes it worse.
+        way.append(refine(way[-1], config=replace(config, blurs=(blur,), iterations=1)).pose)
     path = np.stack([_off(frame, pose) for pose in way])
     return {
         "yaw_deg": yaws, "x_m": xs, "loss": values.reshape(count, count, -1), "path": path,
-        "end": _off(frame, refine(way[0]).pose), "true_yaw_deg": math.degrees(frame.yaw),
+        "end": _off(frame, refine(way[0], config=config).pose), "true_yaw_deg": math.degrees(frame.yaw),
     }  # fmt: skip
 
 

@@ -328,9 +328,11 @@ def _record(result: Lazy, frame: str, seconds: float) -> dict[str, Any]:
 
 def _train(args: argparse.Namespace) -> int:
     _start_jax()
+    from sonarjax.cpu import CpuEngine, keep_memory
     from sonarjax.segment.training import train
 
-    result = train(args.preset, args.run_dir, resume=args.resume)
+    keep_memory()  # a third of a step would go into asking for its memory again
+    result = train(args.preset, args.run_dir, resume=args.resume, engine=CpuEngine())
     if not result.finished:
         _complain(f"stopped after step {result.step}; --resume goes on from there", "")
         return 130

@@ -117,7 +117,8 @@ class CpuEngine(Engine):
     def prepare(self, function: Callable[..., Any], *args: Any, **static: Any) -> None:
         """Compile for arguments of these shapes in the background, while the process goes on with something else."""
         if self._folder is not None:
-            threading.Thread(target=self._program, args=(function, args, static), daemon=True).start()
+            # No daemon: a compiler that is cut off while the interpreter ends takes the process down with it.
+            threading.Thread(target=self._program, args=(function, args, static)).start()
 
     def _program(self, function: Any, args: Any, static: dict[str, Any]) -> tuple[list[Any], Future[Any]]:
         """The arguments' leaves, and the program of them: made here, or by whoever asked first."""

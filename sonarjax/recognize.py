@@ -147,6 +147,7 @@ class Recognizer:
         self.sonar, self.search, self.engine = sonar, search, engine
         self.targets = {name: TargetSearch(m, sonar, search, name=name, engine=engine) for name, m in named.items()}
         self.refine = None if refine is None else _widened(refine, search.yaw_bins)
+        self._prepared = False
         self._windows = {name: self._usual_window(search) for name, search in self.targets.items()}
         self.segmenter = segmenter if isinstance(segmenter, Segmenter) else load_segmenter(segmenter)
 
@@ -164,6 +165,7 @@ class Recognizer:
         image, mask = _checked(image, mask, self.sonar)
         given = None if semantic is None else _checked(semantic, mask, self.sonar, "semantic")[0]
         least = self._threshold(threshold, given is not None)
+        self._prepare()
         seen = self.segmenter.semantic(image, mask, self.engine) if given is None else given
         found = [self._locate(search, seen, mask) for search in self.targets.values()]
         found.sort(key=lambda candidate: -candidate.score)
@@ -191,14 +193,20 @@ class Recognizer:
         )
 
     def _usual_window(self, search: TargetSearch) -> WindowSize | None:
-        """The window that refinement needs at most distances; its program is compiled while the banks are rendered."""
+        """The window that refinement needs at most distances."""
         if self.refine is None:
             return None
         starts = [Pose(x=distance) for distance in search.distances]
         sizes = [plan_refinement(search.mesh, self.sonar, start, self.refine) for start in starts]
-        usual = max(set(sizes), key=sizes.count)
-        prepare_refinement(search.mesh, self.sonar, starts[0], self.refine, self.engine, usual)
-        return usual
+        return max(set(sizes), key=sizes.count)
+
+    def _prepare(self) -> None:
+        """Have refinement compiled while the first frame is segmented and matched."""
+        if self.refine is None or self._prepared:
+            return
+        self._prepared = True
+        name, search = next(iter(self.targets.items()))
+        prepare_refinement(search.mesh, self.sonar, Pose(), self.refine, self.engine, self._windows[name])
 
     def _window(self, best: Candidate) -> WindowSize | None:
         """The usual window where it is large enough for the match, else what that needs."""

@@ -19,12 +19,11 @@ PROJECT = Path(__file__).resolve().parent.parent
 WORKER = os.environ.get("PYTEST_XDIST_WORKER", "main")
 os.environ["SONARJAX_CACHE_DIR"] = str(PROJECT / ".pytest_cache" / f"xla-{WORKER}")
 
-from sonarjax._cores import QUICK  # noqa: E402
+from sonarjax import cpu  # noqa: E402
 
-# Most of the time goes into compiling renderers: where a test compiles or differentiates, too, as the package does it.
-for option, value in QUICK.items():
-    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --{option}={str(value).lower()}"
-
+# Most of the time goes into compiling renderers. Subprocesses inherit the flags.
+cpu.use_quick_compiler()
+cpu.enable_compilation_cache()
 jax.config.update("jax_enable_x64", False)
 
 

@@ -26,6 +26,12 @@ def frame(yaw_deg: float, is_target: bool = True, tilt_deg: float = 20.0) -> Tes
     return TestFrame(nothing, nothing, is_target, math.radians(yaw_deg), tilt_deg)
 
 
+def bank_of(templates: np.ndarray) -> sj.TemplateBank:
+    """A bank (yaw, h, w) of which only the templates matter."""
+    place = (jnp.float32(v) for v in (2.2, 0.0, 0.35))
+    return sj.TemplateBank(jnp.asarray(templates), jnp.arange(float(len(templates))), jnp.zeros(2, int), *place)
+
+
 @pytest.mark.parametrize("width", [2.0, 30.0])
 def test_floor_is_that_of_rounding_to_the_nearest_bin(width, rng):
     yaw = rng.uniform(0.0, 360.0, 200_000)
@@ -46,7 +52,7 @@ def test_a_map_matches_its_own_template_of_a_part(rng):
     image = np.full((40, 20), 0.5, np.float32)
     image[5:13, 7:13] = templates[2]
     for part in ("highlight", "shadow"):
-        bank = sj.TemplateBank(jnp.asarray(only(part, templates)), jnp.arange(4.0))
+        bank = bank_of(only(part, templates))
         scores = scores_at_place([only(part, image)], [frame(0.0)], {20.0: bank})
         assert scores.shape == (1, 4) and scores[0, 2] == pytest.approx(1.0, abs=1e-4) and scores.argmax() == 2
         whole = scores_at_place([image], [frame(0.0)], {20.0: bank})
@@ -57,7 +63,7 @@ def test_each_tilt_is_matched_with_its_own_bank(rng):
     template = {tilt: rng.random((4, 8, 6), np.float32) for tilt in (15.0, 25.0)}
     frames = [frame(0.0, tilt_deg=tilt) for tilt in (25.0, 15.0)]
     maps = [np.pad(template[f.tilt_deg][1], ((9, 23), (7, 7)), constant_values=0.5) for f in frames]
-    banks = {tilt: sj.TemplateBank(jnp.asarray(views), jnp.arange(4.0)) for tilt, views in template.items()}
+    banks = {tilt: bank_of(views) for tilt, views in template.items()}
     scores = scores_at_place(maps, frames, banks)
     np.testing.assert_allclose(scores[:, 1], 1.0, atol=1e-4)
     assert (np.delete(scores, 1, axis=1) < 0.9).all()
@@ -78,7 +84,9 @@ def test_scores_are_judged_by_bin_and_threshold():
 
 
 def test_a_bank_is_rendered_for_the_wrong_geometry(monkeypatch):
-    monkeypatch.setattr(sj, "template_bank", lambda mesh, sonar, yaws, x: (math.degrees(float(sonar.tilt)), x))
+    monkeypatch.setattr(
+        sj, "template_bank", lambda mesh, sonar, yaws, *, x, engine: (math.degrees(float(sonar.tilt)), x)
+    )
     assert bank_with(Error("tilt", -5.0, 0.0), 20.0) == pytest.approx((15.0, GROUND_RANGE_M[20.0]))
     assert bank_with(Error("distance", 0.0, 0.3), 25.0) == pytest.approx((25.0, GROUND_RANGE_M[25.0] + 0.3))
 

@@ -19,10 +19,12 @@ def correlations() -> dict[str, np.ndarray]:
     return {name: np.concatenate([found[name] for found in sets]) for name in sets[0]}
 
 
+@pytest.mark.slow
 def test_frames_match_their_own_template_as_the_papers_do(correlations):
     assert correlations["own"].mean() == pytest.approx(np.diag(TABLE_4).mean(), abs=0.03)
 
 
+@pytest.mark.slow
 def test_other_yaws_match_about_as_well_as_the_papers(correlations):
     # The paper prints at most 0.471 at quarter turns, and zeros below Otsu's threshold.
     assert 0.40 < correlations["quarter"].mean() < 0.50

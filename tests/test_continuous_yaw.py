@@ -11,10 +11,8 @@ import pytest
 
 from experiments import continuous_yaw, symmetric_objects, yaw_basin, yaw_landscape
 from sonarjax.io import SonarjaxError
-from sonarjax.refine.objective import Problem, make_blur
+from sonarjax.refine.objective import make_blur
 from sonarjax.refine.solver import TRUST, _linear_step
-from sonarjax.render import Window
-from sonarjax.scene import Pose
 
 # ---------------------------------------------------------------- errors and error bars
 
@@ -63,14 +61,13 @@ def test_shares_within_a_degree_and_two():
 def test_the_loss_is_the_one_that_the_solver_minimises(rng):
     shape = (24, 10)
     image, drawn = (jnp.asarray(rng.uniform(size=shape), jnp.float32) for _ in range(2))
-    slope = jnp.asarray(0.1 * rng.normal(size=(3, *shape)), jnp.float32)
-    problem = Problem(image, jnp.ones(shape), Pose(), Window(0, 0, shape), jnp.float32(0.0))
+    slope = jnp.asarray(0.1 * rng.normal(size=(len(TRUST), *shape)), jnp.float32)
     blur = make_blur(shape, 1.5)
-    _, cost = jax.jit(lambda *images: _linear_step(problem, blur, *images, jnp.asarray(TRUST[:3])))(
+    _, cost = jax.jit(lambda *images: _linear_step(image, jnp.ones(shape), blur, *images, jnp.asarray(TRUST)))(
         drawn, slope
     )  # compiled: kept on disk
-    assert float(yaw_landscape.loss(problem, blur, drawn)) == pytest.approx(float(cost), rel=1e-4)
-    assert float(yaw_landscape.loss(problem, blur, image)) == pytest.approx(0.0, abs=1e-5)
+    assert float(yaw_landscape.loss(image, blur, drawn)) == pytest.approx(float(cost), rel=1e-4)
+    assert float(yaw_landscape.loss(image, blur, image)) == pytest.approx(0.0, abs=1e-5)
 
 
 def test_central_differences_of_a_parabola_are_its_derivative():
@@ -81,7 +78,7 @@ def test_central_differences_of_a_parabola_are_its_derivative():
 
 
 def test_derivatives_are_judged_blur_by_blur(rng):
-    truth = rng.normal(size=(2, 9, len(yaw_landscape.BLURS_PX)))
+    truth = rng.normal(size=(2, 9, len(yaw_landscape.CONFIG.blurs)))
     ours = truth * np.array([1.0, 1.1, -1.0])
     rows = yaw_landscape.judged(ours, truth, ours)
     assert [row["error"] for row in rows] == pytest.approx([0.0, 0.1, 2.0])

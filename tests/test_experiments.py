@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import json
 import re
 from dataclasses import asdict, dataclass
@@ -279,14 +278,6 @@ def test_arrays_come_back_and_what_is_not_there_is_named(tmp_path: Path, rng: np
 
 def experiments() -> list[str]:
     return sorted(path.stem for path in FOLDER.glob("*.py") if path.stem not in NOT_EXPERIMENTS)
-
-
-@pytest.mark.parametrize("name", experiments())
-def test_an_experiment_says_what_it_asks_and_how_to_run_it(name: str):
-    text = ast.get_docstring(ast.parse((FOLDER / f"{name}.py").read_text(encoding="utf-8"))) or ""
-    assert text.splitlines()[0].endswith((".", "?", ")"))  # a whole sentence, since the list shows this line alone
-    assert f"python -m experiments.{name}" in text
-    assert "[--preset smoke]" in text
 
 
 def test_all_experiments_are_launched():

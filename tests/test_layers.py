@@ -12,8 +12,12 @@ from pathlib import Path
 import pytest
 
 PROJECT = Path(__file__).resolve().parent.parent
-STAGES = ["io", "scene", "sonar", "render", "sensor", "data", "segment", "match", "refine", "recognize", "plot", "cli"]
-ASIDE = {"_cache", "_cores", "__init__", "__main__"}  # files of the top folder that stand outside the order
+STAGES = [
+    "io", "scene", "sonar", "render", "sensor", "data", "segment", "match", "refine", "calibrate", "recognize", "track",
+    "plot", "cli",
+]  # fmt: skip
+BASE = {"records", "engine"}  # below everything: any file may import them, and they import no stage but io
+OUTSIDE = {"cpu", "__init__", "__main__"}  # beside the order; only the command line may import cpu
 ONLY_IMPORTER = {"trimesh": "scene", "jaxopt": "refine"}
 FORBIDDEN = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "shelve", "marshal"}
 MAX_LINES = 450
@@ -70,12 +74,16 @@ def _complaint(parts: list[str], imported: list[str]) -> str | None:
 
 
 def _wrong_direction(stage: str, imported: list[str], is_folder: bool) -> str | None:
-    if stage in ASIDE:
+    target = imported[0] if imported else "__init__"
+    if target == "cpu" and stage != "cli":
+        return "imports cpu: only the command line may, beside experiments, notebooks and tests"
+    if stage in OUTSIDE:
         return None
+    if stage in BASE:
+        return None if target in {"io"} | BASE else f"{stage} stands below {target}"
     if stage not in STAGES:
         return f"{stage} is not in the list of stages: {', '.join(STAGES)}"
-    target = imported[0] if imported else "__init__"
-    if target == "_cores" or (target == stage and is_folder) or (target == "_cache" and not is_folder):
+    if target in BASE or (target == stage and is_folder) or (target == "cpu" and stage == "cli"):
         return None
     if target not in STAGES:
         return f"imports {target} from the package's top: import it from its own folder"
@@ -97,7 +105,7 @@ def test_package_has_no_other_folder() -> None:
     folders = {p.parent.relative_to(PROJECT / "sonarjax").parts for p in (PROJECT / "sonarjax").rglob("*.py")}
     assert {parts[0] for parts in folders if parts} <= set(STAGES)
     files = {p.stem for p in (PROJECT / "sonarjax").glob("*.py")}
-    assert files <= ASIDE | {"recognize", "plot", "cli"}
+    assert files <= OUTSIDE | BASE | {"recognize", "track", "plot", "cli"}
 
 
 BAD = {
@@ -122,7 +130,10 @@ BAD = {
     "pickle in an experiment": ("experiments/a.py", "from pickle import loads"),
     "experiment draws": ("experiments/a.py", "from paper_figs import fig7"),
     "package runs an experiment": ("sonarjax/cli.py", "import experiments.bench_all"),
-    "a stage sets the cache": ("sonarjax/render/a.py", "from sonarjax._cache import enable_compilation_cache"),
+    "a stage tunes the process": ("sonarjax/render/a.py", "from sonarjax.cpu import tune"),
+    "a stage asks for threads": ("sonarjax/recognize.py", "from sonarjax import cpu"),
+    "importing tunes the process": ("sonarjax/__init__.py", "from sonarjax.cpu import tune"),
+    "records know a stage": ("sonarjax/records.py", "from sonarjax.scene import Pose"),
     "too long": ("sonarjax/io/a.py", "x = 1\n" * (MAX_LINES + 1)),
 }
 
@@ -134,8 +145,14 @@ GOOD = {
     ),
     "a mesh": ("sonarjax/scene/a.py", "import trimesh"),
     "top files": ("sonarjax/cli.py", "from sonarjax import plot, recognize\nfrom sonarjax.recognize import recognize"),
-    "a command and the cache": ("sonarjax/cli.py", "from sonarjax._cache import enable_compilation_cache"),
-    "the package's face": ("sonarjax/__init__.py", "from sonarjax._cache import x\nfrom sonarjax.cli import main"),
+    "a command and the processor": ("sonarjax/cli.py", "from sonarjax import cpu\nfrom sonarjax.cpu import CpuEngine"),
+    "the package's face": ("sonarjax/__init__.py", "from sonarjax.engine import x\nfrom sonarjax.cli import main"),
+    "what is below all": (
+        "sonarjax/io/a.py",
+        "from sonarjax.records import record\nimport sonarjax.engine",
+    ),
+    "the processor knows results": ("sonarjax/cpu.py", "from sonarjax.refine.yaw import YawEstimate"),
+    "an experiment tunes": ("experiments/a.py", "from sonarjax.cpu import tune"),
     "a figure script": ("paper_figs/fig7.py", "from sonarjax.plot import polar\nfrom paper_figs import style"),
     "long enough": ("sonarjax/io/a.py", "x = 1\n" * MAX_LINES),
 }

@@ -10,9 +10,12 @@ import pytest
 
 import sonarjax as sj
 from sonarjax.io import SonarjaxError
-from sonarjax.segment import semantic_map
+from sonarjax.recognize import MAP_REFINEMENT
+from sonarjax.segment import load_segmenter
 
-SONAR = sj.Sonar.preset("didson-hf", tilt=math.radians(20))
+# Few beams and a short window, so that few banks are rendered.
+AZIMUTH = np.radians((np.arange(24) - 11.5) * 29 / 24).astype(np.float32)
+SONAR = sj.Sonar.preset("didson-hf", tilt=math.radians(20), azimuth=AZIMUTH, n_ranges=96, range_min=2.0, range_max=3.0)
 
 
 @pytest.fixture(scope="module")
@@ -27,14 +30,22 @@ def image(mesh):
     return np.clip(clean + np.random.default_rng(0).normal(0.0, 0.1, clean.shape), 0.0, 1.0).astype(np.float32)
 
 
-@pytest.mark.parametrize("masked", [False, True])
-def test_a_segmenter_s_own_map_gives_what_the_segmenter_gives(image, mesh, masked):
+@pytest.mark.parametrize(
+    ("masked", "refine"),
+    [
+        (False, None),
+        pytest.param(True, None, marks=pytest.mark.slow),
+        pytest.param(False, MAP_REFINEMENT, marks=pytest.mark.slow),
+    ],
+)
+def test_a_segmenter_s_own_map_gives_what_the_segmenter_gives(image, mesh, masked, refine):
     mask = np.ones(SONAR.shape, bool)
-    mask[:40] = False
+    mask[:10] = False
     mask = mask if masked else None
-    by_name = sj.recognize(image, mesh, SONAR, segmenter="otsu", mask=mask, threshold=0.5)
+    recognizer = sj.Recognizer(mesh, SONAR, segmenter="otsu", refine=refine)
+    by_name = recognizer(image, mask, threshold=0.5)
     filled = image if mask is None else np.where(mask, image, np.float32(0.5))
-    given = sj.recognize(image, mesh, SONAR, semantic=semantic_map(filled, "otsu", mask), mask=mask, threshold=0.5)
+    given = recognizer(image, mask, semantic=load_segmenter("otsu").semantic(filled, mask), threshold=0.5)
     assert given.segmenter == "given"
     for name in (field.name for field in fields(given) if field.name != "segmenter"):
         np.testing.assert_array_equal(getattr(given, name), getattr(by_name, name), err_msg=name)

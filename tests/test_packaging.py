@@ -71,7 +71,7 @@ def test_ci_runs_make_test() -> None:
 
 SHOW = """
 import sys, jax
-from sonarjax._cache import enable_compilation_cache
+from sonarjax.cpu import enable_compilation_cache
 print(enable_compilation_cache(), jax.config.jax_compilation_cache_dir, sep="|")
 """
 
@@ -97,6 +97,7 @@ def test_cache_is_in_the_users_cache_folder(tmp_path: Path) -> None:
     assert stat.S_IMODE(Path(configured).stat().st_mode) == 0o700
 
 
+@pytest.mark.slow
 def test_cache_follows_the_environment(tmp_path: Path) -> None:
     assert cache_of(tmp_path, SONARJAX_CACHE_DIR=f"{tmp_path}/a b").stdout.startswith(f"{tmp_path}/a b/jax-")
     assert cache_of(tmp_path, XDG_CACHE_HOME=f"{tmp_path}/xdg").stdout.startswith(f"{tmp_path}/xdg/sonarjax/xla/jax-")
@@ -107,11 +108,13 @@ def test_cache_can_be_off(tmp_path: Path) -> None:
     assert not (tmp_path / ".cache").exists()
 
 
+@pytest.mark.slow
 def test_cache_of_the_user_is_left_alone(tmp_path: Path) -> None:
     own = str(tmp_path / "own")
     assert cache_of(tmp_path, JAX_COMPILATION_CACHE_DIR=own).stdout.strip() == f"{own}|{own}"
 
 
+@pytest.mark.slow
 def test_no_cache_where_nothing_can_be_written(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")  # also stops root, whom a mode does not
     assert cache_of(tmp_path, SONARJAX_CACHE_DIR=f"{tmp_path}/file/cache").stdout.strip() == "None|None"
@@ -121,7 +124,7 @@ def test_no_cache_where_nothing_can_be_written(tmp_path: Path) -> None:
 COMPILE = """
 import jax, jax.numpy as jnp
 from jax import monitoring
-from sonarjax._cache import enable_compilation_cache
+from sonarjax.cpu import enable_compilation_cache
 enable_compilation_cache()
 events = []
 monitoring.register_event_listener(lambda event, **_: events.append(event.rsplit("/", 1)[-1]))
@@ -130,6 +133,7 @@ print(events.count("cache_hits") > 0)
 """
 
 
+@pytest.mark.slow
 def test_second_run_reads_the_cache_and_says_nothing(tmp_path: Path) -> None:
     # JAX's own threshold in the environment wins over ours, which lets a small function into the cache.
     first, second = (cache_of(tmp_path, COMPILE, JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS="0") for _ in range(2))

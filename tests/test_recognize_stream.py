@@ -66,6 +66,7 @@ def records(path: Path) -> list[dict]:
 # ---------------------------------------------------------------- the stream as a whole
 
 
+@pytest.mark.slow
 def test_a_broken_file_is_one_line_and_the_stream_goes_on(arguments, tmp_path, capfd):
     report = recognize_stream.run(Settings(**arguments), Job(tmp_path / "run", 0))
     (row,) = report["rows"]
@@ -85,6 +86,7 @@ def test_a_broken_file_is_one_line_and_the_stream_goes_on(arguments, tmp_path, c
     assert "| recognize | 3 | 1 |" in recognize_stream.table(report)
 
 
+@pytest.mark.slow
 def test_tracking_recognizes_once_and_finds_the_same_yaws(arguments, tmp_path):
     settings = Settings(**arguments, track=True, track_on="frame")
     (row,) = recognize_stream.run(settings, Job(tmp_path / "run", 0))["rows"]
@@ -96,6 +98,7 @@ def test_tracking_recognizes_once_and_finds_the_same_yaws(arguments, tmp_path):
     np.testing.assert_allclose([r["yaw_deg"] for r in good], YAWS_DEG, atol=3.0)
 
 
+@pytest.mark.slow
 def test_a_cut_off_stream_goes_on_after_its_last_line(arguments, tmp_path):
     run = tmp_path / "run"
     settings = Settings(**arguments)
@@ -110,6 +113,7 @@ def test_a_cut_off_stream_goes_on_after_its_last_line(arguments, tmp_path):
     assert [Path(r["frame"]).stem for r in map(json.loads, lines[3:])] == ["frame_9", "frame_10"]
 
 
+@pytest.mark.slow
 def test_every_and_limit_pick_frames(arguments, tmp_path):
     settings = Settings(**arguments, every=2, limit=2)
     recognize_stream.run(settings, Job(tmp_path / "run", 0))
@@ -141,12 +145,11 @@ def test_arguments_that_do_not_go_together_are_refused(wrong, said):
 # ---------------------------------------------------------------- its parts
 
 
-def test_a_tracker_that_lost_its_object_recognizes_anew(sonar, frames, monkeypatch):
+@pytest.mark.slow
+def test_a_tracker_that_lost_its_object_recognizes_anew(sonar, frames):
     finder = stream.Finder(sj.objects.target(), sonar, "none", "track frame")
     assert finder(Frame(frames[0], None, "a", "a"))[1] is False
-    monkeypatch.setitem(
-        stream.THRESHOLDS, "none", 2.0
-    )  # no correlation reaches it: tracking fails, so does recognition
+    finder.threshold = 2.0  # no correlation reaches it: tracking fails, so does recognition
     result, tracked = finder(Frame(frames[1], None, "b", "b"))
     assert not tracked
     assert not result.identified

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cache, partial
+from dataclasses import dataclass
+from functools import cache
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 import sonarjax as sj
-from sonarjax._cores import SINGLE_CORE, side_by_side
+from experiments.common.engine import engine
+from experiments.common.progress import Progress
 from sonarjax.sensor import SensorModel, observe_scene
 
 TILTS_DEG = (15.0, 20.0, 25.0)
@@ -43,7 +44,7 @@ class TestFrame:
 
 @cache
 def sonar_for(tilt_deg: float) -> sj.Sonar:
-    """DIDSON high frequency in the tank, at one tilt [deg]: one object a tilt, whose banks `recognize` keeps."""
+    """DIDSON high frequency in the tank, at one tilt [deg]: one object a tilt."""
     return sj.Sonar.preset("didson-hf", tilt=math.radians(tilt_deg))
 
 
@@ -95,9 +96,19 @@ def paper_frames(
         image, clean = observed(mesh, pose, sonar_for(tilt), sensor, key=jax.random.fold_in(part, 7))
         return TestFrame(np.asarray(image), np.asarray(clean), is_target, yaw, tilt)
 
-    for case in (cases[0], next(c for c in cases if not c[2])):
-        simulate(case)  # else each thread would compile it
-    return side_by_side(simulate, cases)
+    with Progress("simulating frames", len(cases), unit="frame", leave=False) as progress:
+
+        def one(case: tuple[int, float, bool, int]) -> TestFrame:
+            number, tilt, is_target, yaw_deg = case
+            with progress.part(f"set {number}, {'target' if is_target else 'other'}, {tilt:g}°, yaw {yaw_deg}°"):
+                return simulate(case)
+
+        # The first of each mesh alone: else each thread would compile it.
+        first = [cases[0], next(case for case in cases if not case[2])]
+        done = dict(zip(first, map(one, first), strict=True))
+        left = [case for case in cases if case not in done]
+        done |= zip(left, engine().map(one, left), strict=True)
+    return [done[case] for case in cases]
 
 
 def _device(severity: float, drawn: bool, *, key: jax.Array) -> SensorModel:
@@ -111,12 +122,11 @@ def observed(
 
     The one compiled function that draws the experiments' frames: objects of about as many triangles share its code.
     """
-    pose, model = jax.tree.map(jnp.float32, (pose, model))  # whole or fractions, in the same compiled code
-    # A frame does not need to know how far the object reaches; the code would be traced anew for each such number.
-    return _observed(replace(mesh, radius=0.0, top=0.0), pose, sonar, model, key)
+    model = jax.tree.map(jnp.float32, model)  # whole or fractions, in the same compiled code
+    return _observed(mesh, pose, sonar, model, key)
 
 
-@partial(jax.jit, compiler_options=SINGLE_CORE)
+@jax.jit
 def _observed(
     mesh: sj.Mesh, pose: sj.Pose, sonar: sj.Sonar, model: SensorModel, key: jax.Array
 ) -> tuple[jax.Array, jax.Array]:

@@ -13,11 +13,12 @@ from tqdm import tqdm
 import sonarjax as sj
 from experiments.common.frames import TestFrame, sonar_for
 from experiments.common.metrics import WITHIN_BIN_DEG, accuracy, best_accuracy, summary_deg, yaw_error_deg
-from experiments.common.segmenters import asked_for, threshold_of
+from experiments.common.recognizers import recognizers, unrefined
+from experiments.common.segmenters import map_of, threshold_of
 
 
 class Found(NamedTuple):
-    """What `recognize` made of frames; arrays (frame,)."""
+    """What a recognizer made of frames; arrays (frame,)."""
 
     score: np.ndarray
     """Largest correlation over the bank (eq. 5) [1]."""
@@ -30,7 +31,7 @@ class Found(NamedTuple):
     yaw_std_deg: np.ndarray
     """Standard deviation reported with it [deg], NaN without refinement."""
     seconds: np.ndarray
-    """Time that `recognize` took [s]."""
+    """Time that segmentation and recognition took [s]."""
     threshold: float
     """Least score of an identified target."""
     results: list[sj.Recognition]
@@ -43,7 +44,7 @@ class Found(NamedTuple):
 
 @cache
 def target() -> sj.Mesh:
-    """The paper's target: one mesh for all frames, whose banks `recognize` keeps."""
+    """The paper's target: one mesh for all frames."""
     return sj.objects.target()
 
 
@@ -60,18 +61,12 @@ def recognize_all(
     `segmenter` is one of `common.segmenters`. Yaw is judged on the target alone: other frames are not refined.
     """
     sought, limit = target() if mesh is None else mesh, threshold_of(segmenter)  # first: a wrong name is told at once
-    results, seconds = [], []
+    recognizer_of, results, seconds = recognizers(sought, sonar_of=sonar_of), [], []
     for frame in tqdm(frames, desc=segmenter, unit="frame", leave=False, disable=None):
         started = time.perf_counter()
-        results.append(
-            sj.recognize(
-                frame.image,
-                sought,
-                sonar_of(frame.tilt_deg),
-                **asked_for(segmenter, frame),
-                refine=refine and frame.is_target,
-            )
-        )
+        recognizer = recognizer_of(frame.tilt_deg)
+        recognizer = recognizer if refine and frame.is_target else unrefined(recognizer)
+        results.append(recognizer(frame.image, semantic=map_of(segmenter, frame), threshold=limit))
         seconds.append(time.perf_counter() - started)
     true = [f.yaw for f in frames]
     return Found(

@@ -20,6 +20,7 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from experiments.common.frames import VALIDATION_SEED
 from experiments.common.runs import Job, circumstances, run_folder
+from sonarjax.cpu import tune
 from sonarjax.io import SonarjaxError
 
 Report = dict[str, Any]
@@ -47,6 +48,7 @@ def launch(
     assert module is not None and module.__file__ is not None
     name = Path(module.__file__).stem
     chosen, common = parse(settings, module.__doc__ or "", smoke, arguments)
+    tune()  # before anything is computed
     reports = []
     try:
         jobs = [Job(run_folder(Path(common.runs), name, asdict(chosen), seed), seed) for seed in common.seeds]

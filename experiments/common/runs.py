@@ -21,9 +21,9 @@ from typing import Any, TypeVar
 
 import jax
 import numpy as np
-from tqdm import tqdm
 
 import sonarjax as sj
+from experiments.common.progress import Progress
 from sonarjax.io import SonarjaxError, write_npz, write_text
 from sonarjax.io.jsonlines import JsonLines, plain
 
@@ -61,25 +61,22 @@ class Job:
     def map(
         self, measure: Callable[[Case], Any], cases: Mapping[str, Case] | Iterable[str], title: str
     ) -> dict[str, Any]:
-        """`measure(case)` by the case's name, with a progress bar; what was measured before is not measured again.
+        """`measure(case)` by the case's name, with a progress bar that says which; what was measured is left out.
 
         `measure` returns JSON's types (NumPy's are made plain). Cases share the accelerators where there are several.
         """
         named: dict[str, Any] = dict(cases) if isinstance(cases, Mapping) else {name: name for name in cases}
         parts = {name: f"{title}/{name}" for name in named}
         left = [name for name in named if parts[name] not in self._done]
-        with JsonLines(self._path) as kept:
+        with JsonLines(self._path) as kept, Progress(title, len(named), initial=len(named) - len(left)) as progress:
 
             def part(name: str, device: jax.Device | None = None) -> None:
-                with jax.default_device(device):
+                with progress.part(name), jax.default_device(device):
                     value = plain({"part": parts[name], "value": measure(named[name])})
-                kept.write(value)
-                self._done[parts[name]] = value["value"]
+                    kept.write(value)
+                    self._done[parts[name]] = value["value"]
 
-            bar = tqdm(total=len(named), initial=len(named) - len(left), desc=title, unit="part", smoothing=0.0)
-            with bar:
-                for _ in _spread(part, left):
-                    bar.update()
+            _spread(part, left)
         return {name: self._done[parts[name]] for name in named}
 
     def arrays(self, name: str, **arrays: Any) -> Path:
@@ -112,14 +109,15 @@ def _record(line: str) -> dict[str, Any]:
         return {}
 
 
-def _spread(part: Callable[..., None], names: list[str]) -> Iterable[None]:
+def _spread(part: Callable[..., None], names: list[str]) -> None:
     """One part after another, or on accelerators one on each at a time."""
     devices = jax.local_devices()
     if len(devices) < 2 or devices[0].platform == "cpu":
-        yield from (part(name) for name in names)
+        for name in names:
+            part(name)
         return
     with ThreadPoolExecutor(len(devices)) as pool:
-        yield from pool.map(lambda job: part(job[1], devices[job[0] % len(devices)]), enumerate(names))
+        list(pool.map(lambda job: part(job[1], devices[job[0] % len(devices)]), enumerate(names)))
 
 
 def run_folder(runs: Path, experiment: str, settings: Mapping[str, Any], seed: int) -> Path:

@@ -8,15 +8,15 @@ from __future__ import annotations
 
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 
+import sonarjax as sj
+from experiments.common.engine import engine
 from experiments.common.frames import TestFrame
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.recognize import THRESHOLDS
-from sonarjax.segment import SEGMENTERS, semantic_map
-from sonarjax.segment.weights import GeneratorWeights, load_generator
+from sonarjax.segment import SEGMENTERS
 from sonarjax.segment.whole import segment_frame
 
 DISCRIMINATIVE, TILES, TRUTH = "discriminative", "pix2pix-tiles", "truth"
@@ -41,30 +41,24 @@ def map_of(name: str, frame: TestFrame) -> np.ndarray:
     if name == TRUTH:
         return frame.clean
     if name == TILES:
-        return segment_frame(load_generator(), frame.image, closer=False)
-    if name == DISCRIMINATIVE:
-        return segment_frame(_discriminative(), frame.image)
-    return np.asarray(semantic_map(frame.image, name), np.float32)
-
-
-def asked_for(name: str, frame: TestFrame) -> dict[str, Any]:
-    """What to give `recognize` beside the frame's image: the name of a segmenter of the package, or another's map.
-
-    As keyword arguments, the threshold fixed on validation frames with them. Raises SonarjaxError as `map_of` and
-    `threshold_of` do.
-    """
-    how: dict[str, Any] = {"segmenter": name} if name in SEGMENTERS else {"semantic": map_of(name, frame)}
-    return how | {"threshold": threshold_of(name)}
+        weights = loaded("pix2pix").weights
+        assert weights is not None
+        return segment_frame(weights, frame.image, closer=False, engine=engine())
+    return np.asarray(loaded(name).semantic(frame.image, engine=engine()), np.float32)
 
 
 def threshold_of(name: str) -> float:
     """Least score of an identified target, fixed on validation frames. Raises SonarjaxError where there is none."""
-    known = THRESHOLDS | OWN_THRESHOLDS
-    if name not in known:
+    known = OWN_THRESHOLDS.get(name) if name not in SEGMENTERS else loaded(name).threshold
+    if known is None:
         raise SonarjaxError(f"{name}: no threshold yet; experiments/fit_threshold.py --segmenters {name} finds one")
-    return known[name]
+    return known
 
 
 @cache
-def _discriminative() -> GeneratorWeights:
-    return load_generator(DISCRIMINATIVE_WEIGHTS)
+def loaded(name: str) -> sj.Segmenter:
+    """A segmenter of the package, or the discriminative network, read once.
+
+    Raises SonarjaxError for a name or file that is not there.
+    """
+    return sj.load_segmenter(DISCRIMINATIVE_WEIGHTS if name == DISCRIMINATIVE else name)

@@ -18,12 +18,13 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import sonarjax as sj
+from experiments.common.engine import engine
 from experiments.common.frames import observed
+from experiments.common.segmenters import loaded
 from sonarjax.io import Frame, SonarjaxError, iter_frames
 from sonarjax.io.load import PARSERS
 from sonarjax.plot import MARK_COLOR
-from sonarjax.recognize import REFINEMENT, THRESHOLDS, UNMODELLED_YAW, Hypothesis, Recognition, refine_on_frame
-from sonarjax.segment import semantic_map
+from sonarjax.recognize import MAP_REFINEMENT, UNMODELLED_YAW, Hypothesis, Recognition, refine_on_frame
 from sonarjax.sensor import SensorModel
 
 WAYS = ("recognize", "track map", "track frame")
@@ -102,8 +103,9 @@ class Finder:
         """`way` is one of WAYS; `threshold` replaces the segmenter's own. Raises SonarjaxError for another way."""
         if way not in WAYS:
             raise SonarjaxError(f"way: expected one of {', '.join(WAYS)}, got {way!r}")
-        self.mesh, self.sonar, self.segmenter, self.way = mesh, sonar, segmenter, way
-        self.threshold = threshold
+        self.mesh, self.sonar, self.way, self.threshold = mesh, sonar, way, threshold
+        self.recognizer = sj.Recognizer(mesh, sonar, segmenter=loaded(segmenter), engine=engine())
+        self.tracked_on = loaded("none") if way == WAYS[2] else self.recognizer.segmenter
         self.last: sj.Pose | None = None
 
     def __call__(self, frame: Frame) -> tuple[Recognition, bool]:
@@ -114,26 +116,29 @@ class Finder:
         tracked = None if self.last is None or self.way == WAYS[0] else self._tracked(frame, self.last)
         found = tracked
         if found is None:
-            how: dict[str, Any] = {"segmenter": self.segmenter, "mask": frame.mask, "threshold": self.threshold}
-            found = sj.recognize(frame.image, self.mesh, self.sonar, **how)
+            found = self.recognizer(frame.image, frame.mask, threshold=self.threshold)
         self.last = sj.Pose(found.x, found.y, found.yaw) if found.identified else None
         return found, tracked is not None
 
     def _tracked(self, frame: Frame, last: sj.Pose) -> Recognition | None:
         """The pose refined from the last one; None when its template correlates less than the threshold."""
-        on = "none" if self.way == "track frame" else self.segmenter
-        semantic = semantic_map(frame.image, on, frame.mask)
-        estimate = sj.refine_yaw(semantic, self.mesh, self.sonar, last, mask=frame.mask, **REFINEMENT)
-        score, limit = float(estimate.score), THRESHOLDS[on] if self.threshold is None else self.threshold
-        if not score >= limit:  # nor when it is NaN
+        mesh, sonar, on, limit = self.mesh, self.sonar, self.tracked_on, self.threshold
+        limit = on.threshold if limit is None else limit
+        assert limit is not None  # each segmenter of a stream has its own
+        semantic = on.semantic(frame.image, frame.mask, engine())
+        how: dict[str, Any] = {"config": MAP_REFINEMENT, "engine": engine()}
+        estimate = sj.refine_yaw(semantic, mesh, sonar, last, mask=frame.mask, **how)
+        score = float(estimate.score)
+        if not score >= limit:
             return None
-        estimate = refine_on_frame(frame.image, self.mesh, self.sonar, estimate.pose, frame.mask)
+        estimate = refine_on_frame(frame.image, mesh, sonar, estimate.pose, frame.mask, **how)
         yaw, x, y, refined = (float(v) for v in (estimate.yaw, estimate.x, estimate.y, estimate.score))
-        std = math.hypot(float(estimate.yaw_std), UNMODELLED_YAW)
+        std, settled = math.hypot(float(estimate.yaw_std), UNMODELLED_YAW), bool(estimate.converged)
         return Recognition(
-            identified=True, score=score, score_bank=math.nan, score_refined=refined, threshold=limit,
+            identified=True, target=next(iter(self.recognizer.targets)), runner_up=None, margin=None, score=score,
+            score_bank=math.nan, score_refined=refined, threshold=limit, converged=settled,
             yaw_bin=math.nan, yaw=yaw, yaw_std=std, x=x, y=y, scores_by_yaw=np.empty(0),
-            hypotheses=(Hypothesis(yaw, refined, std),), segmenter=on, semantic=np.asarray(semantic),
+            hypotheses=(Hypothesis(yaw, refined, std, settled),), segmenter=on.name, semantic=np.asarray(semantic),
         )  # fmt: skip
 
 

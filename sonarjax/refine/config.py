@@ -20,7 +20,7 @@ class RefineConfig:
     """Standard deviations of the blur in range bins, coarse to fine: the coarse ones widen the basin."""
     iterations: int = 4
     """Renders at each blur, at most."""
-    polish: int = 12
+    polish: int = 16
     """Further renders at the last blur, to reach a point where the objective is stationary: what the implicit
     derivative needs. 0 does without, and the derivative is zero then."""
     quality: RenderQuality = RenderQuality(sub_beams=1)

@@ -22,7 +22,7 @@ TRUST = (0.12, 0.02, 0.02, 0.2)
 INNER_STEPS = 4
 SETTLED_SHARE = 0.02
 """Of the trust region: after a smaller step the next blur is begun, or the search ends."""
-POLISHED_SHARE = 5e-4
+POLISHED_SHARE = 1e-4
 """As `SETTLED_SHARE`, where the last blur is polished."""
 
 

@@ -53,7 +53,8 @@ def plane_line(
     normal = jnp.cross(corners[..., 1, :] - first, corners[..., 2, :] - first)
     offset = (normal * first).sum(-1)
     # A plane through the sonar head is seen edge-on and has no line; its sign is kept so that nothing jumps.
-    floor = 1e-7 * jnp.sqrt((normal * normal).sum(-1) + 1e-24)
+    # A triangle without area (padding) has no normal: the constant keeps its derivatives inside float32.
+    floor = 1e-7 * jnp.sqrt((normal * normal).sum(-1) + 1e-14)
     safe = jnp.where(jnp.abs(offset) > floor, offset, jnp.where(offset < 0, -floor, floor))
     gradient = normal / safe[..., None]
     a = gradient[..., 0] * jnp.cos(azimuth) + gradient[..., 1] * jnp.sin(azimuth)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from sonarjax.cli import main
 from sonarjax.io import SonarjaxError
+from sonarjax.recognize import Hypothesis, Recognition
 
 SONAR = """
 n_beams = 24
@@ -73,32 +74,37 @@ def stand_in(monkeypatch) -> SimpleNamespace:
         if len(state.calls) in state.failures:
             raise state.failures[len(state.calls)]
 
-    def recognize(image, mesh, sonar, **options):
-        note(options)
-        if len(state.calls) == state.interrupt:
-            raise KeyboardInterrupt
-        if image.shape != sonar.shape:
-            raise SonarjaxError(f"image: expected the sonar's shape {sonar.shape}, got {image.shape}")
-        return float(image.mean())
+    class Recognizer:
+        def __init__(self, mesh, sonar, *, segmenter, refine, engine):
+            self.sonar, self.options = sonar, {"segmenter": segmenter, "refine": refine is not None}
 
-    def to_json(result, frame, seconds):
-        return {"frame": frame, "score": result, "seconds": seconds, "yaw_std_deg": float("nan"), "schema": 1}
+        def __call__(self, image, mask=None, *, semantic=None, threshold=None):
+            note(self.options | {"mask": mask, "threshold": threshold})
+            if len(state.calls) == state.interrupt:
+                raise KeyboardInterrupt
+            if image.shape != self.sonar.shape:
+                raise SonarjaxError(f"image: expected the sonar's shape {self.sonar.shape}, got {image.shape}")
+            return found(float(image.mean()))
 
-    def segment(image, name, mask=None):
-        note(name)
-        return (image > 0.5).astype(np.uint8)
+    class Network:
+        def labels(self, image, mask=None, engine=None):
+            note("pix2pix")
+            return (image > 0.5).astype(np.uint8)
 
-    def accept(mesh, sonar):
-        return None
-
-    for name, members in (
-        ("recognize", {"recognize": recognize, "to_json": to_json, "Recognizer": accept}),
-        ("segment", {"segment": segment}),
-    ):
-        module = ModuleType(f"sonarjax.{name}")
-        vars(module).update(members)
-        monkeypatch.setitem(sys.modules, f"sonarjax.{name}", module)
+    # By its name in sys.modules: `sonarjax.recognize` is the function.
+    monkeypatch.setattr(sys.modules["sonarjax.recognize"], "Recognizer", Recognizer)
+    monkeypatch.setattr("sonarjax.segment.load_segmenter", Network)
     return state
+
+
+def found(score: float) -> Recognition:
+    """A result of that score whose error bar is not a number."""
+    hypothesis = Hypothesis(0.5, score, float("nan"))
+    return Recognition(
+        identified=True, target="target", score=score, score_bank=score, score_refined=score, threshold=0.0,
+        runner_up=None, margin=None, yaw_bin=0.5, yaw=0.5, yaw_std=float("nan"), x=2.2, y=0.0, converged=True,
+        scores_by_yaw=np.array([score]), hypotheses=(hypothesis,), segmenter="pix2pix", semantic=np.zeros(SHAPE),
+    )  # fmt: skip
 
 
 @pytest.fixture

@@ -141,7 +141,7 @@ def test_any_failure_of_one_frame_is_its_error_line(recognize, stand_in, place, 
     frames = [str(place / name) for name in ("a.npz", "b.npy", "a.npz")]
     code, err, records = recognize(frames, tmp_path / "r.jsonl")
     assert code == 1
-    assert records[1] == {"frame": frames[1], "error": f"{frames[1]}: {said}", "schema": 1}
+    assert records[1] == {"frame": frames[1], "error": f"{frames[1]}: {said}", "schema": 2}
     assert err == f"sonarjax: error: {frames[1]}: {said}\n"
     assert "score" in records[0] and "score" in records[2]
 
@@ -188,7 +188,7 @@ def test_a_file_larger_than_memory_is_an_error_line(recognize, stand_in, place, 
         ("--out", "absent/r.jsonl", "cannot be opened"),
         ("--out", "/proc/r.jsonl", "cannot be opened"),
         ("--out", "/dev/full", "cannot be written"),
-        ("--segmenter", "unet", "expected pix2pix, none"),
+        ("--segmenter", "unet", "expected one of pix2pix"),
     ],
 )
 def test_what_stops_a_batch(complaint, stand_in, place, tmp_path, option, value, said):

@@ -84,7 +84,8 @@ def frame_of(sonar) -> SonarFrame:
     highlight, shadow = np.zeros(sonar.shape, np.float32), np.zeros(sonar.shape, np.float32)
     highlight[8:10, 2:4], shadow[10:15, 2:4] = 1, 1
     lit = np.broadcast_to(np.arange(20)[:, None] > 5, sonar.shape)
-    return SonarFrame(*(jnp.asarray(layer) for layer in ((1 + highlight) * lit, highlight, shadow, lit)))
+    layers = (jnp.asarray(layer) for layer in ((1 + highlight) * lit, highlight, shadow, lit))
+    return SonarFrame(*layers, jnp.zeros((), jnp.int32), sonar)
 
 
 def test_a_frame_is_shown_in_both_views(sonar, tmp_path):
@@ -97,7 +98,7 @@ def test_a_frame_is_shown_in_both_views(sonar, tmp_path):
 
 def test_a_dark_frame_is_shown_too(sonar, tmp_path):
     dark = jnp.zeros(sonar.shape)
-    frame = SonarFrame(dark, dark, dark, dark > 0)
+    frame = SonarFrame(dark, dark, dark, dark > 0, jnp.zeros((), jnp.int32), sonar)
     plot.save_figure(plot.plot_frame(frame, sonar), tmp_path / "dark.png", dpi=40)
 
 

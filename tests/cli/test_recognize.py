@@ -7,7 +7,8 @@ import pytest
 
 FIELDS = {
     "frame", "identified", "score", "score_bank", "score_refined", "threshold", "yaw_bin_deg", "yaw_deg", "yaw_std_deg",
-    "x_m", "y_m", "scores_by_yaw", "hypotheses", "segmenter", "seconds", "schema",
+    "x_m", "y_m", "scores_by_yaw", "hypotheses", "segmenter", "seconds", "schema", "converged", "target", "runner_up",
+    "margin",
 }  # fmt: skip
 
 
@@ -28,8 +29,9 @@ def test_a_rendered_frame_is_recognized_with_every_field(recognize, rendered):
     code, (record,) = recognize(rendered)
     assert code == 0
     assert set(record) == FIELDS
-    assert (record["frame"], record["segmenter"], record["schema"]) == (str(rendered), "none", 1)
-    assert all(set(found) == {"yaw_deg", "score", "yaw_std_deg"} for found in record["hypotheses"])
+    assert (record["frame"], record["segmenter"], record["schema"]) == (str(rendered), "none", 2)
+    assert all(set(found) == {"yaw_deg", "score", "yaw_std_deg", "converged"} for found in record["hypotheses"])
+    assert (record["target"], record["runner_up"], record["margin"]) == ("target", None, None)
     assert record["identified"] == (record["score"] >= record["threshold"])
     assert 0 <= record["yaw_deg"] < 360
     # The brick looks the same after half a turn; 24 coarse beams do not tell more than this.

@@ -10,6 +10,7 @@ from PIL import Image
 
 from sonarjax.data.crops import LEAST, Box, cut_box, cut_labels, draw_box, paste_patch
 from sonarjax.render import SonarFrame
+from sonarjax.sonar import Sonar
 
 
 @pytest.mark.parametrize("box", [Box(0, 0, 96, 40), Box(10.0, 4.0, 64.0, 16.0), Box(3.5, 2.25, 31.0, 20.5)])
@@ -35,7 +36,8 @@ def test_paste_undoes_cut():
 
 def test_labels_of_the_whole_frame_are_the_frames(rng):
     highlight, shadow = (jnp.asarray(rng.random((128, 128)), jnp.float32) for _ in range(2))
-    frame = SonarFrame(highlight, highlight, shadow, highlight > 0)
+    sonar = Sonar.preset("didson-hf")  # plays no part in labels
+    frame = SonarFrame(highlight, highlight, shadow, highlight > 0, jnp.zeros((), jnp.int32), sonar)
     found = cut_labels(highlight, shadow, Box(0, 0, 128, 128))
     np.testing.assert_array_equal(found, frame.labels())
 

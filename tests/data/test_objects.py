@@ -117,6 +117,7 @@ def overlap(one, other):
     return best
 
 
+@pytest.mark.slow
 def test_no_pile_is_one_of_the_test(piles):
     height, (length, width, _) = objects.BRICK_M[2], objects.BRICK_M
     target = [((0.0, -0.05, height / 2), 0), ((-0.05, 0.091, height / 2), 90), ((-0.03, 0.0, 1.5 * height), 60)]

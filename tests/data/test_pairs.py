@@ -15,7 +15,7 @@ from sonarjax.data.pairs import CHUNK, PairSettings, make_pairs, paper_pairs, sp
 from sonarjax.data.shapes import N_VERTICES, shape_mesh
 from sonarjax.data.views import draw_view
 from sonarjax.io import SonarjaxError
-from sonarjax.render import render
+from sonarjax.render import RenderQuality, render
 from sonarjax.scene import Mesh, Pose
 
 COUNT = 3 * CHUNK
@@ -45,6 +45,7 @@ def test_highlight_is_brighter_than_shadow(pairs):
     assert len(brighter) > COUNT // 2 and brighter.mean() > 0.9
 
 
+@pytest.mark.slow
 def test_pair_depends_on_its_key_and_number_only(pairs):
     again = make_pairs(5, key=split_key(0, "train"), first=CHUNK - 2)
     np.testing.assert_array_equal(again.image, pairs.image[CHUNK - 2 : CHUNK + 3])
@@ -53,6 +54,7 @@ def test_pair_depends_on_its_key_and_number_only(pairs):
     assert (np.asarray(other.image) != np.asarray(pairs.image[:2])).any(axis=(1, 2)).all()
 
 
+@pytest.mark.slow
 def test_paper_pairs_are_the_first_of_training(pairs, monkeypatch):
     assert module.PAPER_PAIRS == 6780
     monkeypatch.setattr(module, "PAPER_PAIRS", 4)
@@ -74,6 +76,7 @@ def test_count_must_be_positive():
         make_pairs(0, key=jax.random.key(0))
 
 
+@pytest.mark.slow
 def test_labels_are_those_of_a_plain_render(pairs):
     """The object of a pair read from arrays and rendered alone, with the bounds measured there."""
     vertices, faces, sonar, box_key = _drawn(jax.random.fold_in(split_key(0, "train"), 1))
@@ -98,5 +101,5 @@ def _drawn(key):
 
 @jax.jit
 def _layers(mesh, sonar):
-    frame = render(mesh, Pose(), sonar, sub_beams=1)
+    frame = render(mesh, Pose(), sonar, quality=RenderQuality(1))
     return frame.highlight, frame.shadow, frame.labels()

@@ -28,11 +28,11 @@ CUTS = st.integers(0, 2**16)
 
 
 def fuzzed(max_examples):
-    """A test of `edits` (where, what) and `cut` (a length), both taken modulo the size of the file."""
+    """A slow test of `edits` (where, what) and `cut` (a length), both taken modulo the size of the file."""
     config = settings(
         max_examples=max_examples, deadline=None, derandomize=True, database=None, suppress_health_check=QUIET
     )
-    return lambda test: config(given(edits=EDITS, cut=CUTS)(test))
+    return lambda test: pytest.mark.slow(config(given(edits=EDITS, cut=CUTS)(test)))
 
 
 def corrupt(content, edits, cut, header=None):
@@ -77,6 +77,20 @@ def valid(make):
         "npz": make.npz(image=grey / np.float32(255), mask=grey > 3),
         "png": make.png(grey),
     }
+
+
+PARSERS = {
+    "aris": parse_aris, "didson": parse_didson, "oculus": parse_oculus, "npy": parse_npy_frame, "npz": parse_npz_frame,
+    "png": parse_png_frame,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", PARSERS)
+def test_some_damaged_files(valid, kind, rng):
+    """What the slow tests do at length, for a few files."""
+    for _ in range(60):
+        edits = [(int(rng.integers(2**16)), WORDS[rng.integers(len(WORDS))]) for _ in range(2)]
+        survive_both(PARSERS[kind], valid[kind], edits, int(rng.integers(2**16)))
 
 
 @fuzzed(1750)
@@ -162,7 +176,10 @@ HEADERS = [
 ]
 
 
-@pytest.mark.parametrize(("kind", "parser", "spans", "step"), HEADERS, ids=[kind for kind, *_ in HEADERS])
+@pytest.mark.parametrize(
+    ("kind", "parser", "spans", "step"),
+    [pytest.param(*row, id=row[0], marks=pytest.mark.slow if row[0] in ("aris", "oculus") else ()) for row in HEADERS],
+)
 def test_no_allocation_that_only_a_header_asks_for(valid, kind, parser, spans, step):
     # float32 out of bytes is 4 x; a check makes a boolean of it; some kB of names and tables.
     limit = 9 * len(valid[kind]) + 400_000

@@ -10,15 +10,17 @@ import numpy as np
 import pytest
 
 import sonarjax as sj
-from sonarjax.recognize import ON_FRAME, refine_on_frame
-from sonarjax.refine.objective import Problem
-from sonarjax.refine.template import draw, draw_with_slope
-from sonarjax.render import Window, place_window, window_shape
+from sonarjax.recognize import ECHO_ITERATIONS, FRAME_BLURS, MAP_REFINEMENT, refine_on_frame
+from sonarjax.refine.template import Subject, draw, draw_with_slope
+from sonarjax.render import RenderQuality, place_window, plan_window
 from sonarjax.sensor import SensorModel, observe_scene
 
+pytestmark = pytest.mark.slow
 SONAR = sj.Sonar.preset("didson-hf", tilt=math.radians(20.0), height=0.9)
 YAWS = np.radians([11.0, 77.0, 141.0, 218.0, 303.0]).astype(np.float32)
 X, Y = 2.3, 0.05
+PLAIN = replace(MAP_REFINEMENT, blurs=FRAME_BLURS)
+ON_FRAME = (PLAIN, replace(PLAIN, iterations=ECHO_ITERATIONS, template="echo"))
 QUIET = replace(SensorModel.nominal(), speckle=0.0, texture=0.0)  # but with its bounce on the floor
 
 
@@ -50,7 +52,7 @@ def error_deg(found):
 
 
 def test_frames_of_a_sensor_give_a_better_yaw_than_by_the_semantic_template(mesh, seen):
-    semantic, echo = (error_deg(sj.refine_yaw(seen[0], mesh, SONAR, starts(), **way)) for way in ON_FRAME)
+    semantic, echo = (error_deg(sj.refine_yaw(seen[0], mesh, SONAR, starts(), config=way)) for way in ON_FRAME)
     print(f"\nsemantic {semantic.round(2)}°, echo {echo.round(2)}°")
     assert echo.max() < 0.4 < semantic.max()
     assert echo.mean() < 0.5 * semantic.mean()
@@ -67,18 +69,16 @@ def pick(pose, index):
 
 
 def refined_by(way):
-    return lambda image, mesh, sonar, start: sj.refine_yaw(image, mesh, sonar, start, **way)
+    return lambda image, mesh, sonar, start: sj.refine_yaw(image, mesh, sonar, start, config=way)
 
 
 def test_derivatives_against_central_differences(mesh):
     """By yaw, x and y as far as the visible edges follow; by the bounce's energy exactly."""
-    shape = window_shape(mesh, SONAR, X)
-    window = Window(*place_window(shape, mesh, SONAR, X, Y)[:2], shape)
-    start = sj.Pose(*(jnp.float32(v) for v in (X, Y, 0.4)))
-    problem = Problem(jnp.zeros(shape), jnp.ones(shape), start, window, jnp.float32(0))
+    window = place_window(plan_window(mesh, SONAR, X), mesh, SONAR, X, Y)
+    subject = Subject(mesh, SONAR, sj.Pose(X, Y, 0.4), window, jnp.float32(0), jnp.int32(2), RenderQuality())
     at = jnp.array([0.0, 0.0, 0.0, 0.3])
-    picture, slope = jax.jit(lambda at: draw_with_slope(problem, mesh, SONAR, at, 2, "echo"))(at)
-    drawn = jax.jit(partial(draw, problem, mesh, SONAR, sub_beams=2, template="echo"))
+    picture, slope = jax.jit(partial(draw_with_slope, subject))(at)
+    drawn = jax.jit(partial(draw, subject))
     np.testing.assert_allclose(picture, drawn(at), atol=1e-3)  # other fusions, other roundings
     # Short steps: the stored value is the fourth root of an energy that is narrow in range.
     for k, (step, limit) in enumerate([(6e-4, 0.2), (3e-4, 0.1), (3e-4, 0.3), (1e-2, 0.01)]):

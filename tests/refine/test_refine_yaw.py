@@ -1,6 +1,7 @@
 """`refine_yaw`: how near it comes on labels, several starts, masks, error bars and what it refuses."""
 
 import math
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -8,13 +9,19 @@ import numpy as np
 import pytest
 
 import sonarjax as sj
-from sonarjax.refine import yaw
+from sonarjax.engine import Engine
 from sonarjax.refine.objective import make_blur, normalised
 from sonarjax.refine.template import labelled
 
 SONAR = sj.Sonar.preset("didson-hf", tilt=math.radians(20.0), height=0.9)
 GREY = np.array([0.5, 1.0, 0.0], np.float32)
 COUNT = 8
+CONFIG = sj.RefineConfig()
+SIZE = sj.plan_refinement(sj.objects.target(), SONAR, sj.Pose(2.3), CONFIG)  # one for all, so that all share a compile
+
+
+def refine(image, mesh, start, mask=None, config=CONFIG, **how):
+    return sj.refine_yaw(image, mesh, SONAR, start, mask=mask, config=config, window=SIZE, **how)
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +33,9 @@ def scene():
 
     @jax.jit
     def labels(poses):
-        return jax.lax.map(lambda p: sj.render(mesh, sj.Pose(p[1], p[2], p[0]), SONAR, sub_beams=4).labels(), poses)
+        return jax.lax.map(
+            lambda p: sj.render(mesh, sj.Pose(p[1], p[2], p[0]), SONAR, quality=sj.RenderQuality(4)).labels(), poses
+        )
 
     return mesh, GREY[np.asarray(labels(poses))], poses
 
@@ -41,7 +50,7 @@ def near(poses, seed, shape=()):
 
 
 def pick(pose, index):
-    return sj.Pose(pose.x[index], pose.y[index], pose.yaw[index])
+    return jax.tree.map(lambda v: v[index], pose)
 
 
 def yaw_error_deg(found, true):
@@ -50,7 +59,7 @@ def yaw_error_deg(found, true):
 
 def test_labels_give_the_yaw_to_a_fraction_of_a_degree(scene):
     mesh, images, poses = scene
-    found = sj.refine_yaw(images, mesh, SONAR, near(poses, 0))
+    found = refine(images, mesh, near(poses, 0))
     error = yaw_error_deg(found.yaw, poses[:, 0])
     print(f"\nyaw error: median {np.median(error):.3f}°, largest {error.max():.3f}°")
     assert error.max() < 1.0 and np.median(error) < 0.3
@@ -66,27 +75,36 @@ def test_labels_give_the_yaw_to_a_fraction_of_a_degree(scene):
 def test_several_starts_keep_their_axis_and_a_batch_equals_single_frames(scene):
     mesh, images, poses = scene
     starts = near(poses[:2], 1, (2,))
-    many = sj.refine_yaw(images[:2], mesh, SONAR, starts)
+    many = refine(images[:2], mesh, starts)
     assert many.yaw.shape == many.score.shape == (2, 2)
     for frame in range(2):
-        single = sj.refine_yaw(images[frame], mesh, SONAR, pick(starts, frame))
+        single = refine(images[frame], mesh, pick(starts, frame))
         np.testing.assert_allclose(single.yaw, many.yaw[frame], atol=1e-4)
-    assert sj.refine_yaw(images[0], mesh, SONAR, pick(starts, (0, 0))).yaw.shape == ()
+    assert refine(images[0], mesh, pick(starts, (0, 0))).yaw.shape == ()
 
 
-def test_batches_of_any_size_share_compiled_code(scene, monkeypatch):
+class Watching(Engine):
+    """An engine that notes what decides compiled code."""
+
+    def __init__(self):
+        self.seen = set()
+
+    def run(self, function, *args, **static):
+        leaves, tree = jax.tree.flatten(args)
+        self.seen.add((function, str(tree), tuple(np.shape(v) for v in leaves), tuple(sorted(static.items(), key=str))))
+        return function(*args, **static)
+
+
+def test_batches_of_any_size_and_configs_of_all_numbers_share_compiled_code(scene):
     mesh, images, poses = scene
-    compiled, seen = yaw._refine, set()
-
-    def refine(images, *given):
-        seen.add((images.shape, given[7:]))  # what is static follows the seven arrays
-        return compiled(images, *given)
-
-    monkeypatch.setattr(yaw, "_refine", refine)
-    for count in (1, 2, 3):
-        sj.refine_yaw(images[:count], mesh, SONAR, near(poses[:count], 5))
-    sj.refine_yaw(images[0], mesh, SONAR, pick(near(poses[:2], 5, (2,)), 0))
-    assert len(seen) == 1
+    engine = Watching()
+    for count in (1, 2):
+        refine(images[:count], mesh, near(poses[:count], 5), engine=engine)
+    refine(images[0], mesh, pick(near(poses[:2], 5, (2,)), 0), engine=engine)
+    other = replace(CONFIG, bounds=(0.1, 0.05, 0.04), blurs=(4.0, 1.0, 0.5), iterations=2, polish=1, sharpness=0.0)
+    refine(images[0], mesh, pick(near(poses[:2], 5), 0), config=replace(other, margin=(8, 2)), engine=engine)
+    refine(images[0], mesh, pick(near(poses[:2], 5), 0), config=replace(other, template="echo"), engine=engine)
+    assert len(engine.seen) == 1
 
 
 def test_what_is_masked_does_not_count(scene):
@@ -95,7 +113,7 @@ def test_what_is_masked_does_not_count(scene):
     mask[:, : images.shape[2] // 2 - 4] = False
     spoiled = np.where(mask, images[0], np.random.default_rng(0).random(mask.shape)).astype(np.float32)
     start = pick(near(poses, 2), 0)
-    clean, hidden = (sj.refine_yaw(image, mesh, SONAR, start, mask=mask) for image in (images[0], spoiled))
+    clean, hidden = (refine(image, mesh, start, mask) for image in (images[0], spoiled))
     np.testing.assert_allclose(clean.yaw, hidden.yaw, atol=1e-6)
     np.testing.assert_allclose(clean.score, hidden.score, atol=1e-6)
 
@@ -103,11 +121,29 @@ def test_what_is_masked_does_not_count(scene):
 def test_bounds_hold_and_are_reported(scene):
     mesh, images, poses = scene
     start = sj.Pose(float(poses[0, 1]), float(poses[0, 2]), float(poses[0, 0]) + 0.2)
-    found = sj.refine_yaw(images[0], mesh, SONAR, start, bounds=(0.05, 0.01, 0.01))
-    assert abs((float(found.yaw) - start.yaw + np.pi) % (2 * np.pi) - np.pi) <= 0.05 + 1e-5
-    assert not bool(found.converged)
+    found = refine(images[0], mesh, start, config=replace(CONFIG, bounds=(0.05, 0.01, 0.01)))
+    assert abs((float(found.yaw) - float(start.yaw) + np.pi) % (2 * np.pi) - np.pi) <= 0.05 + 1e-5
+    assert not bool(found.converged) and not bool(found.determined)
 
 
+def test_the_start_is_judged_too(scene):
+    mesh, images, poses = scene
+    found = refine(images[0], mesh, pick(near(poses, 0), 0))
+    assert float(found.start_score) < float(found.score)
+    true = sj.Pose(poses[0, 1], poses[0, 2], poses[0, 0])
+    assert float(refine(images[0], mesh, true).start_score) == pytest.approx(float(found.score), abs=0.02)
+    assert found.pose.shape == () and float(found.pose.yaw) == float(found.yaw)
+
+
+@pytest.mark.slow
+def test_without_polishing_it_is_as_good_but_nothing_is_determined(scene):
+    mesh, images, poses = scene
+    found = refine(images[:3], mesh, near(poses[:3], 0), config=replace(CONFIG, polish=0))
+    assert yaw_error_deg(found.yaw, poses[:3, 0]).max() < 1.0
+    assert not np.asarray(found.determined).any()
+
+
+@pytest.mark.slow
 def test_inside_jit_as_outside(scene):
     mesh, images, poses = scene
     start = pick(near(poses, 4), 1)
@@ -126,7 +162,6 @@ def test_inside_jit_as_outside(scene):
         ({"image": np.zeros((3, 4), np.float32)}, "image: expected shape"),
         ({"mask": np.ones((3, 4), bool)}, "mask: expected the image's shape"),
         ({"start": sj.Pose(np.full(3, 2.3), np.zeros((2, 3)), np.zeros(3))}, "start: expected one pose"),
-        ({"template": "intensity"}, "template: expected one of semantic, echo, got .intensity."),
     ],
 )
 def test_what_does_not_fit_is_refused(change, message):
@@ -134,6 +169,27 @@ def test_what_does_not_fit_is_refused(change, message):
     mesh = sj.objects.brick()
     with pytest.raises(sj.SonarjaxError, match=message):
         sj.refine_yaw(given.pop("image"), mesh, SONAR, given.pop("start"), **given)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"bounds": (0.1, 0.0, 0.1)}, "bounds: expected three positive"),
+        ({"blurs": ()}, "blurs: expected positive"),
+        ({"blurs": (math.nan,)}, "blurs: expected positive"),
+        ({"iterations": 0}, "iterations of 1 or more"),
+        ({"polish": -1}, "polish"),
+    ],
+)
+def test_configs_that_no_search_can_have_are_refused(change, message):
+    with pytest.raises(sj.SonarjaxError, match=message):
+        sj.RefineConfig(**change)
+
+
+@pytest.mark.parametrize("change", [{"template": "intensity"}, {"bounds": (0.1, 0.1)}])
+def test_configs_of_the_wrong_kind_are_refused(change):
+    with pytest.raises((sj.SonarjaxError, TypeError)):  # TypeError: where annotations are checked, they speak first
+        sj.RefineConfig(**change)
 
 
 def test_blur_keeps_a_constant_and_spreads_as_scipy_does():
@@ -173,7 +229,7 @@ def test_a_margin_leaves_out_what_lies_far_from_the_start(scene):
     wall[:, row - 80 : row - 60] = 1.0  # 0.3 m before the object's middle
     start = near(poses, 1)
     free, boxed, clean = (
-        sj.refine_yaw(frames, mesh, SONAR, start, margin=margin, blurs=(2.0, 0.8))
+        refine(frames, mesh, start, config=replace(CONFIG, margin=margin, blurs=(4.0, 2.0, 0.8)))
         for frames, margin in ((wall, None), (wall, (12, 3)), (images, (12, 3)))
     )
     np.testing.assert_allclose(boxed.yaw, clean.yaw, atol=1e-4)

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.render import bank_place, floor_point, image_azimuth, render, template_bank
+from sonarjax.render import RenderQuality, bank_place, floor_point, image_azimuth, render, template_bank
 from sonarjax.scene import Pose, objects
 from sonarjax.sonar import Sonar
 
 SONAR = Sonar.preset("didson-hf", tilt=math.radians(20.0), height=0.9)
 X, Y = 2.25, -0.1
-YAWS = np.radians(np.arange(360.0))
+YAWS = np.radians(np.arange(0.0, 360.0, 10.0))
 
 
 @pytest.fixture(scope="module")
@@ -28,22 +28,29 @@ def bank(brick):
 
 def full(brick, yaw):
     """The whole frame's semantic image at the bank's own quality."""
-    return np.asarray(render(brick, Pose(x=X, y=Y, yaw=float(yaw)), SONAR, sub_beams=1, elevations=64).semantic())
+    return np.asarray(
+        render(brick, Pose(x=X, y=Y, yaw=float(yaw)), SONAR, quality=RenderQuality(sub_beams=1)).semantic()
+    )
 
 
-def test_360_templates(bank):
+@pytest.mark.parametrize("step_deg", [10.0, pytest.param(1.0, marks=pytest.mark.slow)])
+def test_a_template_for_each_yaw(brick, step_deg):
+    every = np.radians(np.arange(0.0, 360.0, step_deg))
+    bank = template_bank(brick, SONAR, every, x=X, y=Y)
     yaws, h, w = bank.templates.shape
-    assert yaws == 360 and bank.templates.dtype == jnp.float32
+    assert yaws == len(every) and bank.templates.dtype == jnp.float32
     assert h < 256 and w < 48  # the object's box, not the frame: 360 whole frames would take 70 MB
     assert bank.templates.nbytes < 20e6
-    np.testing.assert_allclose(bank.yaws, YAWS, atol=1e-6)
+    np.testing.assert_allclose(bank.yaws, every, atol=1e-6)
     values = np.asarray(bank.templates)
     assert -1e-6 <= values.min() < 0.02 and 0.98 < values.max() <= 1 + 1e-6  # float32
-    assert bank.bearing == pytest.approx(math.atan2(Y, X)) and bank.ground_range == pytest.approx(math.hypot(X, Y))
-    assert (bank.x, bank.y) == (X, Y) and bank.tilt == pytest.approx(math.radians(20.0))
+    assert float(bank.bearing) == pytest.approx(math.atan2(Y, X)) and float(bank.ground_range) == pytest.approx(
+        math.hypot(X, Y)
+    )
+    assert [float(v) for v in (bank.x, bank.y, bank.tilt)] == pytest.approx([X, Y, math.radians(20.0)])
 
 
-@pytest.mark.parametrize("index", [0, 1, 37, 90, 200, 359])
+@pytest.mark.parametrize("index", [0, 4, 20, 35])
 def test_templates_are_crops_of_the_frame(brick, bank, index):
     image = full(brick, YAWS[index])
     row, column = bank.offset
@@ -64,8 +71,8 @@ def test_margin_around_the_union_of_all_yaws(bank):
 def test_templates_differ_between_yaws(bank):
     """A brick looks the same after half a turn, and different after a quarter."""
     values = np.asarray(bank.templates)
-    assert np.abs(values[0] - values[180]).max() < 1e-3
-    assert np.abs(values[0] - values[90]).mean() > 0.01
+    assert np.abs(values[0] - values[18]).max() < 1e-3
+    assert np.abs(values[0] - values[9]).mean() > 0.01
 
 
 def test_any_list_of_yaws(brick):

@@ -10,11 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sonarjax.render import Window, place_window, render, render_window, semantic_window
+from sonarjax.render import RenderQuality, Window, WindowSize, place_window, render, render_window
 from sonarjax.scene import Mesh, Pose, objects
 from sonarjax.sonar import Sonar
 
-SHAPE = (260, 52)
+SIZE = WindowSize((260, 52))
+SHAPE = SIZE.shape
 SUB_BEAMS, ELEVATIONS = 2, 64
 CONVERGED = 6  # sub-beams of the render that is differenced
 MESHES = {"target": objects.target, "ball": objects.ball, "brick": objects.brick}
@@ -40,7 +41,8 @@ def image(mesh, p, row, column, sub_beams):
     """Semantic window at p = (yaw, x, y, tilt, height, shape); `shape` stretches the mesh upwards."""
     mesh = mesh.with_vertices(mesh.vertices * jnp.stack([jnp.ones(()), jnp.ones(()), 1 + p[5]]))
     sonar = SONAR.replace(tilt=p[3], height=p[4])
-    return semantic_window(mesh, Pose(p[1], p[2], p[0]), sonar, Window(row, column, SHAPE), sub_beams, ELEVATIONS)
+    quality = RenderQuality(sub_beams, ELEVATIONS)
+    return render_window(mesh, Pose(p[1], p[2], p[0]), sonar, Window(row, column, SHAPE), quality).semantic()
 
 
 def squares(picture, target):
@@ -101,7 +103,7 @@ def derivatives():
         mesh = make()
         for p, off in scenes(seed):
             sonar = SONAR.replace(tilt=float(p[3]))
-            window = place_window(SHAPE, mesh, sonar, float(p[1]), float(p[2]))
+            window = place_window(SIZE, mesh, sonar, float(p[1]), float(p[2]))
             at = jnp.asarray(p, jnp.float32)
             target = converged_image(mesh, at + jnp.asarray(off, jnp.float32), window.row, window.column)
             ours.append(np.asarray(analytic(mesh, at, window.row, window.column, target), np.float64))
@@ -110,6 +112,7 @@ def derivatives():
     return np.array(ours).reshape(shape), np.array(theirs).reshape(shape)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("loss", [0, 1], ids=["squares", "1-ncc"])
 @pytest.mark.parametrize("parameter", [0, 1, 2], ids=NAMES[:3])
 def test_pose_gradients(derivatives, loss, parameter):
@@ -128,6 +131,7 @@ def test_pose_gradients(derivatives, loss, parameter):
     assert right >= 0.98
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("loss", [0, 1], ids=["squares", "1-ncc"])
 @pytest.mark.parametrize("parameter", [3, 4, 5], ids=NAMES[3:])
 def test_sonar_and_vertex_gradients(derivatives, loss, parameter):
@@ -140,9 +144,10 @@ def test_sonar_and_vertex_gradients(derivatives, loss, parameter):
     assert np.corrcoef(ours, theirs)[0, 1] > 0.9
 
 
+@pytest.mark.slow
 def test_forward_mode_equals_reverse_mode():
     mesh, at = objects.brick(), jnp.asarray([0.4, 2.2, 0.05, 0.35, 0.9, 0.0], jnp.float32)
-    window = place_window(SHAPE, mesh, SONAR.replace(tilt=0.35), 2.2, 0.05)
+    window = place_window(SIZE, mesh, SONAR.replace(tilt=0.35), 2.2, 0.05)
     target = converged_image(mesh, at + jnp.array([0.1, 0.01, -0.01, 0, 0, 0]), window.row, window.column)
     reverse = np.asarray(analytic(mesh, at, window.row, window.column, target))
     forward = jax.jit(partial(jax.jacfwd(losses, argnums=1), sub_beams=SUB_BEAMS))
@@ -150,19 +155,20 @@ def test_forward_mode_equals_reverse_mode():
         np.testing.assert_allclose(a, b, rtol=2e-3, atol=1e-3 * np.abs(b).max())
 
 
+@pytest.mark.slow
 def test_forward_image_converges():
     """Each layer is within 3 % RMS of one with 8 × the sub-beams and elevations."""
 
     @partial(jax.jit, static_argnames=("sub_beams", "elevations"))
     def layers(mesh, pose, sonar, row, column, sub_beams, elevations):
-        out = render_window(mesh, pose, sonar, Window(row, column, SHAPE), sub_beams, elevations)
+        out = render_window(mesh, pose, sonar, Window(row, column, SHAPE), RenderQuality(sub_beams, elevations))
         return out.intensity, out.highlight, out.shadow
 
     mesh = objects.target()
     worst = np.zeros(3)
     for p, _ in scenes(11):
         sonar = SONAR.replace(tilt=float(p[3]))
-        window = place_window(SHAPE, mesh, sonar, float(p[1]), float(p[2]))
+        window = place_window(SIZE, mesh, sonar, float(p[1]), float(p[2]))
         pose = Pose(float(p[1]), float(p[2]), float(p[0]))
         ours = layers(mesh, pose, sonar, window.row, window.column, SUB_BEAMS, ELEVATIONS)
         finer = layers(mesh, pose, sonar, window.row, window.column, 8 * SUB_BEAMS, 8 * ELEVATIONS)
@@ -178,7 +184,7 @@ def test_forward_image_converges():
 def _summary(mesh, q):
     """A number that depends on every layer, at q = (x, y, yaw, z, roll, pitch, tilt, height)."""
     sonar = SMALL.replace(tilt=q[6], height=q[7])
-    out = render_window(mesh, Pose(*q[:6]), sonar, Window(0, 0, SMALL.shape), 1, 16)
+    out = render_window(mesh, Pose(*q[:6]), sonar, Window(0, 0, SMALL.shape), RenderQuality(1, 16))
     weight = jnp.cos(jnp.arange(out.shadow.size, dtype=jnp.float32)).reshape(out.shadow.shape)
     return (weight * (out.intensity * 100 + out.highlight + 0.5 * out.shadow)).sum()
 
@@ -228,14 +234,16 @@ def assert_finite(mesh, poses):
     return value, grad
 
 
-def test_finite_at_many_poses():
-    poses = special_poses(np.random.default_rng(0))
+@pytest.mark.parametrize("count", [100, pytest.param(1000, marks=pytest.mark.slow)])
+def test_finite_at_many_poses(count):
+    poses = special_poses(np.random.default_rng(0), count)
     _, grad = assert_finite(objects.brick(), poses)
     seen = np.abs(grad[:, :3]).max(1) > 0
     print(f"\n{seen.mean():.2f} of the poses are seen; largest gradient {np.abs(grad).max():.3g}")
     assert 0.3 < seen.mean() < 0.95
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["tank", "plane"])
 def test_open_meshes_are_finite(name):
     if name == "tank":
@@ -258,6 +266,7 @@ def test_open_plane_is_seen_from_both_sides():
     np.testing.assert_allclose(front.shadow, back.shadow, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_big_mesh():
     """40,000 triangles: the closed-form nearest range, and Embree's labels but for a few pixels at the outline."""
     mesh = objects.ball(rings=100, sectors=200)

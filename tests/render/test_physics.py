@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.render import render
+from sonarjax.render import RenderQuality, render
 from sonarjax.scene import Mesh, Pose, objects
 from sonarjax.sonar import Sonar
 from sonarjax.sonar.model import FloorPatch
@@ -186,7 +186,7 @@ def test_energy_does_not_depend_on_bins_or_elevations():
     pose = Pose(x=2.2, y=0.07, yaw=0.4)
     base = np.asarray(render(skewed(), pose, SONAR).intensity, np.float64)
     coarse = np.asarray(render(skewed(), pose, SONAR.replace(n_ranges=128)).intensity, np.float64)
-    fine = np.asarray(render(skewed(), pose, SONAR, elevations=256).intensity, np.float64)
+    fine = np.asarray(render(skewed(), pose, SONAR, quality=RenderQuality(elevations=256)).intensity, np.float64)
     np.testing.assert_allclose(fine.sum(0), base.sum(0), rtol=2e-3)
     # Coarser bins: the middle of a bin stands for its floor, and hidden floor is taken as a share of the bin.
     np.testing.assert_allclose(coarse.sum(0), base.sum(0), rtol=2e-3)
@@ -414,4 +414,4 @@ def test_wrong_calls_are_refused():
     with pytest.raises(SonarjaxError, match="poses"):
         render([], [], SONAR)
     with pytest.raises(SonarjaxError, match="sub_beams"):
-        render(CUBE, AWAY, SONAR, sub_beams=0)
+        render(CUBE, AWAY, SONAR, quality=RenderQuality(sub_beams=0))

@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.scene import Mesh, objects
+from sonarjax.scene import Mesh, objects, stack_meshes
 
 FOLDERS = Path(__file__).parents[2:4]  # the repository, and the folder that holds it
 PIPE = next((f / "shared/real/pipe/pipe.stl" for f in FOLDERS if (f / "shared/real/pipe").is_dir()), Path("absent"))
@@ -245,13 +245,47 @@ def test_creases_are_the_sharp_edges():
 # The pytree
 
 
-def test_only_the_vertices_are_differentiated():
+def test_what_was_measured_of_one_mesh_is_no_key_of_compiled_code():
     mesh = objects.target()
-    floats = [leaf for leaf in jax.tree.leaves(mesh) if jnp.issubdtype(leaf.dtype, jnp.floating)]
-    assert len(floats) == 1
-    assert floats[0].shape == mesh.vertices.shape
-    assert mesh.with_vertices(2 * mesh.vertices).vertices[0, 0] == 2 * mesh.vertices[0, 0]
-    assert mesh.with_vertices(mesh.vertices).faces is mesh.faces
+    leaves = {str(path[-1]): leaf for path, leaf in jax.tree_util.tree_leaves_with_path(mesh)}
+    assert set(leaves) == {".vertices", ".faces", ".crease", ".closed", ".radius", ".top"}
+    assert all(isinstance(leaf, jax.Array) for leaf in leaves.values())
+
+
+def test_new_vertices_are_measured_again_where_they_are_known():
+    mesh = objects.target()
+    larger = mesh.with_vertices(2 * mesh.vertices)
+    np.testing.assert_array_equal(larger.vertices, 2 * mesh.vertices)
+    assert larger.faces is mesh.faces
+    for name in ("radius", "top"):
+        assert float(getattr(larger, name)) == pytest.approx(2 * float(getattr(mesh, name)), abs=0.011)
+    kept = jax.jit(lambda v: mesh.with_vertices(v))(2 * mesh.vertices)
+    assert float(kept.radius) == float(mesh.radius)
+    with pytest.raises(SonarjaxError, match="vertices: expected shape"):
+        mesh.with_vertices(mesh.vertices[:-1])
+    with pytest.raises(SonarjaxError, match="vertices: hold NaN"):
+        mesh.with_vertices(mesh.vertices.at[0, 0].set(jnp.nan))
+
+
+def test_room_only_grows_and_not_beyond_the_faces():
+    mesh = objects.target()
+    same = mesh.with_room(0, 0)
+    assert (same.crossings, same.front) == (mesh.crossings, mesh.front)
+    roomy = mesh.with_room(mesh.crossings + 1, 10**6)
+    assert roomy.crossings > mesh.crossings and roomy.front <= mesh.n_faces
+
+
+def test_stacked_meshes_keep_their_surfaces():
+    meshes = [objects.target(), objects.brick(), objects.concrete_cylinder()]
+    batch = stack_meshes(meshes)
+    assert batch.closed.shape == batch.radius.shape == (3,)
+    assert (batch.crossings, batch.front) == tuple(max(getattr(m, n) for m in meshes) for n in ("crossings", "front"))
+    for k, mesh in enumerate(meshes):
+        one = surface(jax.tree.map(lambda v, k=k: v[k], batch))
+        assert one.volume == pytest.approx(surface(mesh).volume, rel=1e-5)
+        np.testing.assert_allclose(one.bounds, surface(mesh).bounds, atol=1e-6)
+    with pytest.raises(SonarjaxError, match="at least one mesh"):
+        stack_meshes([])
 
 
 def test_meshes_of_like_size_share_compiled_code():
@@ -279,11 +313,11 @@ def brute_force_crossings(mesh, planes, rng):
     for _ in range(planes):
         bearing, distance = rng.uniform(0, 2 * math.pi), rng.uniform(1.5, 4.0)
         sonar = distance * np.array([math.cos(bearing), math.sin(bearing), 0]) + [0, 0, rng.uniform(0.1, 1.5)]
-        aim = rng.uniform(-mesh.radius, mesh.radius, 2) - sonar[:2]
+        aim = rng.uniform(-1, 1, 2) * float(mesh.radius) - sonar[:2]
         sides = (corners[..., :2] - sonar[:2]) @ np.array([-aim[1], aim[0]])  # (face, corner)
         crossed = (sides.min(axis=1) <= 0) & (sides.max(axis=1) >= 0)
         front = np.einsum("fk,fk->f", normals, sonar - corners[:, 0]) > 0
-        most = max(most, int(np.sum(crossed & front if mesh.closed else crossed)))
+        most = max(most, int(np.sum(crossed & front if bool(mesh.closed) else crossed)))
     return most
 
 

@@ -29,15 +29,33 @@ def test_default_pose_moves_nothing():
     np.testing.assert_array_equal(Pose().to_ground(POINTS), POINTS)
 
 
-def test_pose_is_a_pytree_of_six_floats():
-    leaves, structure = jax.tree.flatten(Pose(x=2.2, yaw=0.3))
-    assert leaves == [2.2, 0.0, 0.3, 0.0, 0.0, 0.0]
-    assert jax.tree.unflatten(structure, leaves) == Pose(x=2.2, yaw=0.3)
+def test_pose_is_a_pytree_of_six_float32_of_one_shape():
+    leaves = jax.tree.leaves(Pose(x=2.2, yaw=np.float64(0.3)))
+    assert [leaf.dtype for leaf in leaves] == [jnp.float32] * 6
+    np.testing.assert_allclose(leaves, [2.2, 0.0, 0.3, 0.0, 0.0, 0.0])
+    batch = Pose(x=np.zeros((4, 1)), y=1, yaw=jnp.zeros(3, jnp.bfloat16))
+    assert batch.shape == (4, 3)
+    assert {leaf.shape for leaf in jax.tree.leaves(batch)} == {(4, 3)}
+    assert {leaf.dtype for leaf in jax.tree.leaves(batch)} == {jnp.dtype("float32")}
+
+
+def test_what_does_not_broadcast_is_refused():
+    with pytest.raises(ValueError, match="broadcast"):
+        Pose(x=np.zeros(2), yaw=np.zeros(3))
+
+
+def test_placeholders_pass_through_untouched():
+    """JAX rebuilds a pose from axes, specs and None: the constructor must not see them."""
+    pose = Pose(x=2.2)
+    for leaf in (0, None, "axis"):
+        leaves, structure = jax.tree.flatten(jax.tree.map(lambda _, v=leaf: v, pose), is_leaf=lambda v: v is None)
+        assert leaves == [leaf] * 6
+        assert jax.tree.unflatten(structure, leaves).x == leaf
 
 
 def test_vmap_over_a_batch_of_poses():
     yaws = jnp.linspace(0.0, 3.0, 4)
-    batch = Pose(*(jnp.full(4, value) for value in (2.2, 0.1)), yaw=yaws, z=0.1 * yaws, roll=-yaws, pitch=yaws / 2)
+    batch = Pose(2.2, 0.1, yaw=yaws, z=0.1 * yaws, roll=-yaws, pitch=yaws / 2)
     moved = jax.vmap(lambda pose: pose.to_ground(POINTS))(batch)
     assert moved.shape == (4, 20, 3)
     for i in range(4):

@@ -60,7 +60,7 @@ def test_bounds_of_a_box():
 
 
 def test_meshes_know_what_slices_will_meet():
-    assert not objects.target().crossing
+    assert not objects.target().intersecting
     assert objects.target().front <= 20
     ball = objects.ball()
     seen = np.asarray(ball.vertices)[np.asarray(ball.faces)]

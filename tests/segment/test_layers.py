@@ -15,6 +15,7 @@ from sonarjax.segment.layers import down, down_two, patch, up, up_two
 
 BACKENDS = ("convolution", "product")
 # n, h, w, in, out: for the direct scheme, and for tiles (even tiles both ways, thick enough, enough of them).
+SLOW = pytest.mark.slow
 SHAPES = ((2, 8, 8, 3, 5), (1, 2, 2, 4, 2), (3, 2, 6, 2, 1), (4, 16, 8, 8, 9), (9, 4, 12, 9, 8))
 
 
@@ -46,7 +47,7 @@ def problem(name: str, shape: tuple[int, ...], rng: np.random.Generator) -> tupl
 
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("name", FUNCTIONS)
-@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("shape", [*SHAPES[:2], *(pytest.param(shape, marks=SLOW) for shape in SHAPES[2:])], ids=str)
 def test_layer_is_its_definition(name: str, backend: str, shape: tuple[int, ...], rng: np.random.Generator) -> None:
     x, kernel = problem(name, shape, rng)
     layer = jax.jit(FUNCTIONS[name], static_argnums=2)
@@ -55,7 +56,7 @@ def test_layer_is_its_definition(name: str, backend: str, shape: tuple[int, ...]
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
-@pytest.mark.parametrize("shape", SHAPES[1:4])
+@pytest.mark.parametrize("shape", [SHAPES[3], *(pytest.param(shape, marks=SLOW) for shape in SHAPES[1:3])], ids=str)
 def test_backends_have_one_gradient(name: str, shape: tuple[int, ...], rng: np.random.Generator) -> None:
     x, kernel = (jnp.asarray(v, jnp.float32) for v in problem(name, shape, rng))
     cotangent = jnp.asarray(rng.normal(size=looped(name, x, kernel).shape), jnp.float32)

@@ -18,6 +18,7 @@ from sonarjax.segment.training.checkpoint import Checkpoints
 from sonarjax.segment.training.devices import copied, device_mesh
 from tests.segment.training_runs import QUICK, end, plain_pairs, recorded, start, tiny_recipe
 
+pytestmark = pytest.mark.slow  # processes that train; test_train stops and goes on within one
 EIGHT = f"{QUICK} --xla_force_host_platform_device_count=8"
 
 

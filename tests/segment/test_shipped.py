@@ -11,21 +11,21 @@ import pytest
 
 import sonarjax as sj
 from sonarjax.io.safetensors import read_safetensors
-from sonarjax.segment import segment
+from sonarjax.segment import load_segmenter
 from sonarjax.segment.metrics import confusion, iou
 from sonarjax.segment.weights import shipped_path
 from sonarjax.sensor import SensorModel, observe_scene
 
 YAW = math.radians(40.0)
+SONAR = sj.Sonar.preset("didson-hf", tilt=math.radians(20))
+POSE = sj.Pose(x=2.3, y=0.05, yaw=YAW)
 
 
 @pytest.fixture(scope="module")
 def scene():
     """Sonar, image (range, beam) at severity 1 and the clean frame of the target."""
-    sonar = sj.Sonar.preset("didson-hf", tilt=math.radians(20))
-    pose = sj.Pose(x=2.3, y=0.05, yaw=YAW)
-    image, frame = observe_scene(sj.objects.target(), pose, sonar, SensorModel.nominal(), key=jax.random.key(1))
-    return sonar, np.asarray(image), frame
+    image, frame = observe_scene(sj.objects.target(), POSE, SONAR, SensorModel.nominal(), key=jax.random.key(1))
+    return SONAR, np.asarray(image), frame
 
 
 def shares(labels: np.ndarray, truth: np.ndarray) -> float:
@@ -40,19 +40,22 @@ def test_the_file_says_how_it_was_made_and_is_small():
     assert shipped_path().stat().st_size <= 15e6
 
 
+@pytest.mark.slow
 def test_a_noisy_frame_is_segmented_far_better_than_by_a_threshold(scene):
     _, image, frame = scene
     truth = np.asarray(frame.labels())
-    network, otsu = (shares(segment(image, name), truth) for name in ("pix2pix", "otsu"))
+    network, otsu = (shares(load_segmenter(name).labels(image), truth) for name in ("pix2pix", "otsu"))
     assert network > 0.6 and network > otsu + 0.3
 
 
-def test_a_rendered_map_passes_nearly_unchanged(scene):
+def test_a_rendered_map_passes_nearly_unchanged():
     """What `sonarjax render` writes is recognized by the default segmenter too."""
-    _, _, frame = scene
-    assert shares(segment(np.asarray(frame.semantic()), "pix2pix"), np.asarray(frame.labels())) > 0.85
+    frame = sj.render(sj.objects.target(), POSE, SONAR)
+    found = load_segmenter().labels(np.asarray(frame.semantic()))
+    assert shares(found, np.asarray(frame.labels())) > 0.85
 
 
+@pytest.mark.slow
 def test_the_default_recognizes_target_and_yaw(scene):
     sonar, image, _ = scene
     result = sj.recognize(image, sj.objects.target(), sonar)
@@ -61,9 +64,10 @@ def test_the_default_recognizes_target_and_yaw(scene):
     assert math.hypot(result.x - 2.3, result.y - 0.05) < 0.03
 
 
+@pytest.mark.slow
 def test_nothing_is_found_in_an_empty_tank(scene):
     sonar, _, _ = scene
     far = sj.Pose(x=50.0, y=0.0, yaw=0.0)
     image, _ = observe_scene(sj.objects.target(), far, sonar, SensorModel.nominal(), key=jax.random.key(2))
-    assert (segment(np.asarray(image), "pix2pix") > 0).mean() < 0.01
-    assert not sj.recognize(np.asarray(image), sj.objects.target(), sonar, refine=False).identified
+    assert (load_segmenter().labels(np.asarray(image)) > 0).mean() < 0.01
+    assert not sj.recognize(np.asarray(image), sj.objects.target(), sonar, refine=None).identified

@@ -81,7 +81,14 @@ def test_step_is_pytorchs(rng: np.random.Generator, key: jax.Array) -> None:
 
 
 @pytest.mark.parametrize(
-    "options", [{}, {"head": "classes", "normaliser": "per_image", "cross_entropy": 1.0, "saturating": True}]
+    "options",
+    [
+        {},
+        pytest.param(
+            {"head": "classes", "normaliser": "per_image", "cross_entropy": 1.0, "saturating": True},
+            marks=pytest.mark.slow,
+        ),
+    ],
 )
 def test_steps_learn(options: dict[str, Any], rng: np.random.Generator, key: jax.Array) -> None:
     x, y = batch(rng)
@@ -118,6 +125,7 @@ def test_average_follows_the_generator(rng: np.random.Generator, key: jax.Array)
     assert state.weights()["params"] is state.ema
 
 
+@pytest.mark.slow
 def test_cross_entropy_alone_trains_the_same_network(rng: np.random.Generator, key: jax.Array) -> None:
     x, y = batch(rng)
     state = create_state(replace(CONFIG, head="classes"), key=key)

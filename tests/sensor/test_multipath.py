@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sonarjax.render import SonarFrame
+from sonarjax.render import RenderQuality, SonarFrame
 from sonarjax.scene import Mesh, Pose, objects
 from sonarjax.sensor import SensorModel, bounce_mesh, bounce_points, observe_scene, render_bounces
 from sonarjax.sonar import Sonar
@@ -88,9 +88,10 @@ def test_energy_is_linear_in_the_coefficients_and_silence_is_dark() -> None:
     assert not np.asarray(bounces(PEBBLE, pose).intensity).any()
 
 
+@pytest.mark.slow
 def test_bars_appear_inside_the_shadow(key: jax.Array) -> None:
     brick = PEBBLE.with_vertices(PEBBLE.vertices * jnp.array([9.5, 4.5, 2.9]))
-    see = jax.jit(partial(observe_scene, sub_beams=1, elevations=32))
+    see = jax.jit(partial(observe_scene, quality=RenderQuality(1, 32)))
     clean = replace(SensorModel.nominal(0.0), automatic_gain=0.0)
     pose = Pose(x=X, yaw=0.5)
     quiet, frame = see(brick, pose, SONAR, clean, key=key)

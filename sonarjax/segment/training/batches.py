@@ -17,6 +17,7 @@ from jaxtyping import UInt8
 
 from sonarjax.data import Pairs, import_pairs, make_pairs, split_key
 from sonarjax.data.folder import STORED
+from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.segment.training.recipes import Recipe
 
@@ -35,9 +36,9 @@ class Stored(NamedTuple):
 class Batches:
     """Batches of a recipe by number, a context manager: its thread ends with it."""
 
-    def __init__(self, recipe: Recipe) -> None:
-        """Nothing is made yet."""
-        self._recipe = recipe
+    def __init__(self, recipe: Recipe, engine: Engine = PLAIN) -> None:
+        """Nothing is made yet; `engine` will make the pairs."""
+        self._recipe, self.engine = recipe, engine
         self._sets: dict[int, Future[Stored]] = {}
         self._over = threading.Event()
         self._maker = ThreadPoolExecutor(1, "pairs")
@@ -55,7 +56,7 @@ class Batches:
     def _set(self, number: int) -> Stored:
         for wanted in (number, number + 1):
             if wanted not in self._sets and wanted < self._recipe.sets:
-                self._sets[wanted] = self._maker.submit(_make_set, self._recipe, wanted, self._over)
+                self._sets[wanted] = self._maker.submit(_make_set, self._recipe, wanted, self._over, self.engine)
         for old in [n for n in self._sets if n < number]:
             del self._sets[old]
         return self._sets[number].result()
@@ -83,30 +84,30 @@ def _chosen(which: np.ndarray, images: np.ndarray, others: np.ndarray) -> np.nda
     return np.where(which[:, None, None], images, others)
 
 
-def _make_set(recipe: Recipe, number: int, over: threading.Event) -> Stored:
+def _make_set(recipe: Recipe, number: int, over: threading.Event, engine: Engine) -> Stored:
     if recipe.source is not None:
         return _imported(recipe)[0]
-    return _made(recipe, "train", number * recipe.pairs, recipe.pairs, over)
+    return _made(recipe, "train", number * recipe.pairs, recipe.pairs, over, engine)
 
 
-def validation_set(recipe: Recipe) -> Stored:
+def validation_set(recipe: Recipe, engine: Engine = PLAIN) -> Stored:
     """The pairs that judge a run: of the validation split, or the last of the recipe's folder.
 
     Raises SonarjaxError when the folder cannot be used.
     """
     if recipe.source is not None:
         return _imported(recipe)[1]
-    return _made(recipe, "validation", 0, recipe.validation_pairs, threading.Event())
+    return _made(recipe, "validation", 0, recipe.validation_pairs, threading.Event(), engine)
 
 
-def _made(recipe: Recipe, split: str, first: int, count: int, over: threading.Event) -> Stored:
+def _made(recipe: Recipe, split: str, first: int, count: int, over: threading.Event, engine: Engine) -> Stored:
     key = split_key(recipe.run_seed, split)
     parts = []
     for start in range(0, count, AT_ONCE):
         if over.is_set():
             break
         size = min(AT_ONCE, count - start)
-        parts.append(_stored(make_pairs(size, recipe.pair_settings, key=key, first=first + start)))
+        parts.append(_stored(make_pairs(size, recipe.pair_settings, key=key, first=first + start, engine=engine)))
     return Stored(*(np.concatenate(part) for part in zip(*parts, strict=True))) if parts else Stored(*_nothing())
 
 

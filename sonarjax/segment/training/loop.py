@@ -19,8 +19,8 @@ from jax.random import fold_in
 from jax.sharding import Mesh
 from tqdm import tqdm
 
+from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.segment.memory import keep_memory
 from sonarjax.segment.step import GanState, create_state
 from sonarjax.segment.training.batches import Batches, Stored, validation_set
 from sonarjax.segment.training.checkpoint import Checkpoints
@@ -59,21 +59,22 @@ class TrainResult:
     """The file of the averaged generator; None before the last step."""
 
 
-def train(preset: str | Recipe, run_dir: str | os.PathLike[str], resume: bool = False) -> TrainResult:
+def train(
+    preset: str | Recipe, run_dir: str | os.PathLike[str], resume: bool = False, *, engine: Engine = PLAIN
+) -> TrainResult:
     """Follow a recipe, by name or as it is, and leave checkpoints, records and weights in `run_dir`.
 
     With `resume` a run that was killed goes on from its last checkpoint, to the same weights. Ctrl-C or SIGTERM ends
-    it after the current step, with a checkpoint. On all devices and, see `devices`, all processes. The process
-    keeps its memory from then on (see `memory`).
+    it after the current step, with a checkpoint. On all devices and, see `devices`, all processes. `engine` makes the
+    pairs: on a CPU `sonarjax.cpu.CpuEngine()`, and `sonarjax.cpu.keep_memory()` before the first step saves a third.
     Raises SonarjaxError for a recipe or folder that cannot be used, and when a loss is not finite or has diverged:
     the last checkpoint from before that is kept.
     """
     recipe = find_recipe(preset)
-    keep_memory()  # a third of a step would go into asking for its memory again
     join_processes()
     folder = Path(run_dir)
     open_run(recipe, folder, resume)
-    with StopWish() as wish, Checkpoints(folder / "checkpoints") as checkpoints, Batches(recipe) as batches:
+    with StopWish() as wish, Checkpoints(folder / "checkpoints") as checkpoints, Batches(recipe, engine) as batches:
         return _Run(recipe, folder, checkpoints, batches, wish).finish()
 
 
@@ -167,7 +168,7 @@ class _Run:
     def _judge(self) -> tuple[dict[str, float], np.ndarray]:
         """Validation metrics of the averaged generator, and its grey maps."""
         if self.validation is None:
-            self.validation = validation_set(self.recipe)
+            self.validation = validation_set(self.recipe, self.batches.engine)
         weights = local_copy(self.state.weights())
         grey = predict_all(self.recipe.networks, weights, self.validation)
         return score(grey, self.validation), grey
