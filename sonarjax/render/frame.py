@@ -101,6 +101,7 @@ def place_together(meshes: Sequence[Mesh], poses: Pose | Sequence[Pose]) -> tupl
         closed=all(m.closed for m in meshes),
         crossings=sum(m.crossings for m in meshes),
         front=sum(m.front for m in meshes),
+        events=sum(min(m.events, len(m.crease)) for m in meshes),
         crossing=len(meshes) > 1 or meshes[0].crossing,
         radius=max(m.radius for m in meshes),
         top=max(m.top for m in meshes),

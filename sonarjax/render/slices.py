@@ -15,6 +15,8 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int
 
+from sonarjax.render.segments import NEAR_M
+
 
 class Slabs(NamedTuple):
     """Azimuth slabs of a window, in ascending order."""
@@ -49,15 +51,39 @@ def make_slabs(
     return Slabs(middle, slab_width, jnp.where(inside_beam, slab_width / jnp.diff(azimuth_edges)[:, None], 0.0))
 
 
-def event_azimuths(vertices: Float[Array, "vertex 3"], crease: Int[Array, "event"]) -> Float[Array, "event_and_ends"]:
+def event_azimuths(
+    vertices: Float[Array, "vertex 3"], faces: Int[Array, "face 3"], crease: Int[Array, "crease"], limit: int
+) -> Float[Array, "event_and_ends"]:
     """Azimuths (event + 2,) [rad] of the vertices at sharp edges and of the two outermost vertices of all.
 
-    The outermost two are where a smooth body begins and ends.
+    The outermost two are where a smooth body begins and ends. Of more than `limit` vertices at sharp edges those are
+    taken at which the profile of this view jumps the most. Vertices (vertex, 3) [m] are in the sonar frame.
     """
     fixed = stop_gradient(vertices)
     lateral = jnp.arctan2(fixed[:, 1], fixed[:, 0])
+    if len(crease) > limit:
+        jump = silhouette_jump(fixed, faces)
+        # One entry a vertex, so that the padding of `crease` takes no places.
+        crease = jax.lax.top_k(jnp.full(len(fixed), -1.0).at[crease].set(jump[crease]), limit)[1]
     chosen = jnp.concatenate([crease, jnp.argmin(lateral)[None], jnp.argmax(lateral)[None]])
     return safe_azimuth(vertices[chosen])
+
+
+def silhouette_jump(vertices: Float[Array, "vertex 3"], faces: Int[Array, "face 3"]) -> Float[Array, "vertex"]:
+    """How far the profile may jump in the tangent of elevation [1] at the azimuth of each vertex (vertex, 3) [m].
+
+    It jumps where a silhouette is steep: this is the extent in elevation of the silhouette's edges at a vertex, less
+    their extent in azimuth. An edge is silhouette where only one of its two triangles faces the sonar head. Each
+    triangle adds its edges to their ends, one with each sign; edges between triangles that face the same way cancel.
+    """
+    view = vertices[:, 1:] / jnp.maximum(vertices[:, :1], NEAR_M)  # (vertex, 2): tangents of azimuth and elevation
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    facing = jnp.sign((jnp.cross(b - a, c - a) * a).sum(-1))
+    corner = view[faces]
+    # Of the two edges at a corner one is added and one taken away: what remains is the edge opposite to it.
+    opposite = jnp.roll(corner, -1, axis=1) - jnp.roll(corner, -2, axis=1)  # (face, corner, 2)
+    extent = jnp.abs(jnp.zeros_like(view).at[faces].add(facing[:, None, None] * opposite))
+    return jnp.maximum(extent[:, 1] - extent[:, 0], 0.0)
 
 
 def safe_azimuth(points: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:

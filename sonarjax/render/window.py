@@ -159,7 +159,7 @@ def render_echo(
 
 def _slabs_of(mesh: Mesh, scene: Scene, sonar: Sonar, window: Window, sub_beams: int) -> Slabs:
     azimuth_edges = _columns(jnp.asarray(sonar.azimuth_edges), window.column, window.shape[1] + 1)
-    events = event_azimuths(scene.vertices, mesh.crease)
+    events = event_azimuths(scene.vertices, scene.faces, mesh.crease, mesh.events)
     return make_slabs(azimuth_edges, events, sub_beams, window.object_columns)
 
 

@@ -22,7 +22,7 @@ from sonarjax.scene.slicing import has_crossing_triangles, most_crossings, most_
 
 LARGEST_EXTENT_M = 100.0  # an object longer than this is taken for one drawn in millimetres
 CREASE_ANGLE = math.radians(20.0)  # edges sharper than this count as edges of the body, not of its tessellation
-MAX_CREASE_VERTICES = 64
+MAX_EVENTS = 64
 CHECKED_FACES = 1000  # larger meshes are taken to pass through themselves: to check them takes seconds
 
 
@@ -39,7 +39,7 @@ class Mesh:
     faces: Int[Array, "face 3"]
     """Vertex indices of each triangle, counter-clockwise from outside; padding is (0, 0, 0)."""
     crease: Int[Array, "event"]
-    """Vertices at sharp edges: the azimuths at which a slice's profile may jump."""
+    """Vertices at sharp edges: the azimuths at which a slice's profile may jump; padding is vertex 0."""
     closed: bool = field(default=False, metadata={"static": True})
     """True when the surface encloses a volume: faces that look away from the sonar are then never seen."""
     crossings: int = field(default=0, metadata={"static": True})
@@ -48,6 +48,8 @@ class Mesh:
     """Upper bound of the triangles that look at the sonar at once (all of them unless `closed`)."""
     crossing: bool = field(default=True, metadata={"static": True})
     """False when no two triangles pass through each other: slices then hold half as many pieces."""
+    events: int = field(default=MAX_EVENTS, metadata={"static": True})
+    """Upper bound of the crease vertices at whose azimuths a view's slabs end; the steepest silhouettes come first."""
     radius: float = field(default=0.0, metadata={"static": True})
     """Largest horizontal distance of a vertex from the mesh origin [m], rounded up: sizes the render window."""
     top: float = field(default=0.0, metadata={"static": True})
@@ -165,7 +167,7 @@ def _padded(surface: trimesh.Trimesh, closed: bool) -> Mesh:
     return Mesh(
         vertices=jnp.asarray(_pad(vertices, _bucket(len(vertices)), vertices[:1])),
         faces=jnp.asarray(_pad(faces, _bucket(len(faces)), np.zeros((1, 3), np.int32))),
-        crease=jnp.asarray(_pad(crease, min(_bucket(max(len(crease), 1)), MAX_CREASE_VERTICES), np.zeros(1, np.int32))),
+        crease=jnp.asarray(_pad(crease, _bucket(max(len(crease), 1)), np.zeros(1, np.int32))),
         closed=closed,
         crossings=_rounded(most_crossings(vertices, faces, closed), len(faces)),
         front=_rounded(most_front(vertices, faces) if closed else len(faces), len(faces)),
@@ -190,19 +192,10 @@ def _round_up(length: float, step: float = 0.01) -> float:
 
 
 def _crease_vertices(surface: trimesh.Trimesh) -> np.ndarray:
-    """Vertices (event,) of sharp or open edges; the heaviest (edge length × angle) where there are too many."""
-    sharp = surface.face_adjacency_angles > CREASE_ANGLE
-    edges = surface.face_adjacency_edges[sharp]
-    angles = surface.face_adjacency_angles[sharp]
+    """Vertices (event,) of sharp or open edges, in ascending order."""
+    sharp = surface.face_adjacency_edges[surface.face_adjacency_angles > CREASE_ANGLE]
     unique, counts = np.unique(surface.edges_sorted, axis=0, return_counts=True)
-    open_edges = unique[counts == 1]
-    edges = np.concatenate([edges, open_edges]).astype(np.int32)
-    angles = np.concatenate([angles, np.full(len(open_edges), math.pi)])
-    lengths = np.linalg.norm(surface.vertices[edges[:, 0]] - surface.vertices[edges[:, 1]], axis=1)
-    weight = np.zeros(len(surface.vertices))
-    np.add.at(weight, edges.ravel(), np.repeat(lengths * angles, 2))
-    order = np.argsort(-weight, kind="stable")[: min(MAX_CREASE_VERTICES, int((weight > 0).sum()))]
-    return np.sort(order).astype(np.int32)
+    return np.unique(np.concatenate([sharp, unique[counts == 1]])).astype(np.int32)
 
 
 def _rounded(bound: int, faces: int) -> int:
