@@ -16,6 +16,8 @@ from sonarjax.render.segments import CROSSING, EDGE, FIXED, Segments
 
 INSET = 0.02  # winners are asked this share of an interval inside its ends, where neighbours that touch do not tie
 TOUCH = 1e-6  # segments whose ends in elevation are closer than this touch: float32 computes a shared edge twice
+MEET = 0.1  # share of two lines' largest distance between two samples at which they touch
+BEND = 1e-4  # least such distance, as a share of 1/range, of lines that are told apart
 EXACT_LIMIT = 32  # above this many candidates a slice is sampled in elevation instead
 
 
@@ -144,14 +146,21 @@ def _sampled(segments: Segments, elevations: int) -> Pieces:
     share = 0.5 - 0.5 * jnp.cos(jnp.pi * (jnp.arange(elevations) + 0.5) / elevations)
     node = low + (high - low) * share  # (slab, elevation)
     winner = _nearest(segments, node)
-    tau, end, how = _boundaries(segments, node, winner)
+    tau, ends, starts, how = _boundaries(segments, node, winner)
     first, last = winner[:, :1], winner[:, -1:]
     edge = jnp.full(first.shape, EDGE)
-    tau = jnp.concatenate([_end(segments, first, 0), tau, _end(segments, last, 1)], axis=1)
-    end = jnp.concatenate([2 * first, end, 2 * last + 1], axis=1)
-    how = jnp.concatenate([edge, how, edge], axis=1)
-    # A boundary is the upper end of the piece below it and the lower end of the piece above it.
-    return Pieces(winner, *(jnp.stack([v[:, :-1], v[:, 1:]], axis=-1) for v in (tau, end, how)))
+
+    def per_piece(lowest: Array, starts: Array, ends: Array, highest: Array) -> Array:
+        """Values of each piece's lower and upper end (slab, elevation, 2)."""
+        lower, upper = jnp.concatenate([lowest, starts], axis=1), jnp.concatenate([ends, highest], axis=1)
+        return jnp.stack([lower, upper], axis=-1)
+
+    return Pieces(
+        winner,
+        tau=per_piece(_end(segments, first, 0), tau, tau, _end(segments, last, 1)),
+        end=per_piece(2 * first, starts, ends, 2 * last + 1),
+        how=per_piece(edge, how, how, edge),
+    )
 
 
 def _take(values: Array, index: Array) -> Array:
@@ -162,16 +171,37 @@ def _end(segments: Segments, index: Array, side: int) -> Array:
     return jnp.where(index >= 0, _take(segments.tau[..., side], index), 0.0)
 
 
-def _boundaries(segments: Segments, node: Array, winner: Array) -> tuple[Array, Array, Array]:
-    """Where one winner hands over to the next, between neighbouring nodes: at the end of the one in front."""
+def _boundaries(segments: Segments, node: Array, winner: Array) -> tuple[Array, Array, Array, Array]:
+    """Where one winner hands over to the next, between neighbouring nodes.
+
+    Returns its elevation tangent, what ends the piece below it, what starts the piece above it, and how, each (slab,
+    elevation - 1). Candidates between the nodes may be passed over, so the end of a winner's own segment need not be
+    where its surface ends. Where such an end lies on the other winner's line the two do meet there. Else they meet
+    where their lines cross, if that is between the nodes. Else one hides the other, and the end of the one in front
+    counts.
+    """
     i, j = winner[:, :-1], winner[:, 1:]
     below, above = node[:, :-1], node[:, 1:]
     i_end, j_start = _end(segments, i, 1), _end(segments, j, 0)
-    s_i = _take(segments.line[..., 0], i) + _take(segments.line[..., 1], i) * below
-    s_j = _take(segments.line[..., 0], j) + _take(segments.line[..., 1], j) * above
+    (a_i, b_i), (a_j, b_j) = ((_take(segments.line[..., 0], k), _take(segments.line[..., 1], k)) for k in (i, j))
+    s_i, s_j = a_i + b_i * below, a_j + b_j * above
     i_ends, j_starts = (i >= 0) & (i_end < above), (j >= 0) & (j_start > below)
-    use_i = i_ends & (~j_starts | (s_i >= s_j))
-    use_j = j_starts & ~use_i
+
+    def apart(tau: Array) -> Array:
+        return a_j - a_i + (b_j - b_i) * tau
+
+    both = (i >= 0) & (j >= 0)
+    most = jnp.maximum(jnp.abs(apart(below)), jnp.abs(apart(above)))
+    at_i, at_j = (
+        jnp.where(inside, jnp.abs(apart(tau)), jnp.inf) for inside, tau in ((i_ends, i_end), (j_starts, j_start))
+    )
+    meet = both & (jnp.minimum(at_i, at_j) < MEET * most)
+    # Lines that all but coincide cross anywhere.
+    cross = both & ~meet & (apart(below) * apart(above) < 0) & (most > BEND * s_i)
+    use_i = i_ends & ~cross & jnp.where(meet, at_i <= at_j, ~j_starts | (s_i >= s_j))
+    use_j = j_starts & ~cross & ~use_i
     tau = jnp.where(use_i, i_end, jnp.where(use_j, j_start, (below + above) / 2))
+    tau = jnp.where(cross, (a_i - a_j) / jnp.where(cross, b_j - b_i, 1.0), tau)
     end = jnp.where(use_i, 2 * i + 1, 2 * j)
-    return jnp.clip(tau, below, above), end, jnp.where(use_i | use_j, EDGE, FIXED)
+    how = jnp.where(cross, CROSSING, jnp.where(use_i | use_j, EDGE, FIXED))
+    return jnp.clip(tau, below, above), end, jnp.where(cross, 2 * i, end), how
