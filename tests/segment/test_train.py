@@ -113,7 +113,7 @@ def cheap_pairs(monkeypatch):
     """Pairs that only say which key and number they have; records what was made."""
     made = []
 
-    def make(count, settings, *, key, first=0):
+    def make(count, settings, *, key, first=0, engine=None):
         made.append((first, count, jax.random.key_data(key).tolist()))
         shade = (first + np.arange(count) + 100 * int(jax.random.key_data(key)[1] % 2)) % 256
         image = np.broadcast_to(shade[:, None, None] / 255, (count, 128, 128))
