@@ -1,4 +1,4 @@
-# make test        lint, format, types and fast tests     make test-all    all tests, then every experiment and notebook
+# make test        lint, format, types and fast tests     make test-all    that, slow tests, experiments and notebooks
 # make smoke       every experiment and notebook in brief  make reproduce   the main job: figures and report under runs/
 # make bench       speed against peers                    make format      rewrite the code in our format
 # make clean       remove the environment and the caches
@@ -27,8 +27,8 @@ test: $(VENV)/.stamp-test
 	$(BIN)/mypy sonarjax
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -m "not slow"
 
-test-all: $(VENV)/.stamp-smoke
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile
+test-all: test $(VENV)/.stamp-all
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -m slow
 	$(MAKE) smoke
 
 smoke: $(VENV)/.stamp-smoke
@@ -55,9 +55,10 @@ clean:
 $(VENV)/.stamp-base: EXTRA :=
 $(VENV)/.stamp-test: EXTRA := [test]
 $(VENV)/.stamp-smoke: EXTRA := [test,notebooks]
+$(VENV)/.stamp-all: EXTRA := [test,notebooks,peers]
 $(VENV)/.stamp-bench: EXTRA := [bench]
 
-$(VENV)/.stamp-base $(VENV)/.stamp-test $(VENV)/.stamp-smoke $(VENV)/.stamp-bench: $(SPEC)
+$(VENV)/.stamp-base $(VENV)/.stamp-test $(VENV)/.stamp-smoke $(VENV)/.stamp-all $(VENV)/.stamp-bench: $(SPEC)
 	@$(or $(PYTHON),false) -c '$(RECENT)' 2>/dev/null || \
 		{ echo "sonarjax needs Python 3.11 or newer with venv and pip: make PYTHON=/path/to/python3.11" >&2; exit 1; }
 	@$(PIP) --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV)

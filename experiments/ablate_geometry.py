@@ -21,10 +21,10 @@ import sonarjax as sj
 from experiments.ablate_template import YAWS, judged_at_place, scores_at_place
 from experiments.common.engine import engine
 from experiments.common.frames import GROUND_RANGE_M, TILTS_DEG, TestFrame, paper_frames, sonar_for
-from experiments.common.judge import target
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns
 from experiments.common.runs import Job
+from experiments.common.scores import target
 from experiments.common.segmenters import map_of
 
 HEADS = {

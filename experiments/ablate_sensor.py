@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from experiments.common.frames import TILTS_DEG, paper_frames
-from experiments.common.judge import recognize_all
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns
 from experiments.common.runs import Job
+from experiments.common.scores import recognize_all
 from experiments.common.segmenters import Name
 from experiments.evaluate_segmenters import row
 from sonarjax.sensor import SensorModel

@@ -13,10 +13,10 @@ from functools import partial
 from typing import Any
 
 from experiments.common.frames import TILTS_DEG, TestFrame, paper_frames
-from experiments.common.judge import judged, recognize_all
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns
 from experiments.common.runs import Job
+from experiments.common.scores import recognize_all, summary_of
 from experiments.common.segmenters import Name
 
 HEADS = {
@@ -56,7 +56,7 @@ def run(settings: Settings, job: Job) -> Report:
 
 
 def _measure(frames: list[TestFrame], segmenter: str) -> dict[str, float]:
-    return judged(recognize_all(frames, segmenter))
+    return summary_of(recognize_all(frames, segmenter))
 
 
 def table(report: Report) -> str:

@@ -19,10 +19,10 @@ import numpy as np
 import sonarjax as sj
 from experiments.common.engine import engine
 from experiments.common.frames import GROUND_RANGE_M, TestFrame, paper_frames, sonar_for
-from experiments.common.judge import target
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import WITHIN_BIN_DEG, best_accuracy, columns, yaw_error_deg
 from experiments.common.runs import Job
+from experiments.common.scores import target
 from experiments.common.segmenters import map_of
 from sonarjax.match import prepare_bank
 

@@ -20,11 +20,11 @@ import numpy as np
 
 import sonarjax as sj
 from experiments.common.frames import TILTS_DEG, TestFrame, paper_frames
-from experiments.common.judge import target
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import WITHIN_BIN_DEG, columns, summary_deg, yaw_error_deg
 from experiments.common.recognizers import recognizers, unrefined
 from experiments.common.runs import Job
+from experiments.common.scores import target
 from experiments.common.segmenters import Name, map_of, threshold_of
 
 ASTRAY_DEG = 20.0  # farther off than any bin's half: another aspect of the object was taken for this one

@@ -23,11 +23,11 @@ import numpy as np
 import sonarjax as sj
 from experiments.common.engine import engine
 from experiments.common.frames import GROUND_RANGE_M, TILTS_DEG, TestFrame, paper_frames, sonar_for
-from experiments.common.judge import recognize_all, target
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns, summary_deg
 from experiments.common.recognizers import unrefined
 from experiments.common.runs import Job
+from experiments.common.scores import recognize_all, target
 from experiments.common.segmenters import Name, loaded
 from sonarjax.segment import SEGMENTERS
 

@@ -16,11 +16,11 @@ import numpy as np
 
 import sonarjax as sj
 from experiments.common.frames import TILTS_DEG, TestFrame, paper_frames
-from experiments.common.judge import Found, judged, recognize_all, target
 from experiments.common.launch import Report, launch
 from experiments.common.maps import map_metrics
 from experiments.common.metrics import columns
 from experiments.common.runs import Job
+from experiments.common.scores import Found, recognize_all, summary_of, target
 from experiments.common.segmenters import Name, available
 
 SetName = Literal["severity 1", "offset yaw", "severity 1.5", "mirror image", "other devices"]
@@ -83,7 +83,7 @@ def row(found: Found, frames: list[TestFrame]) -> dict[str, float]:
     """The metrics of one segmenter on one set."""
     own = [_own_score(result, frame) for result, frame in zip(found.results, frames, strict=True) if frame.is_target]
     maps = map_metrics([result.semantic for result in found.results], frames)
-    return judged(found) | maps | {"score_own": float(np.mean(own))}
+    return summary_of(found) | maps | {"score_own": float(np.mean(own))}
 
 
 def _own_score(result: sj.Recognition, frame: TestFrame) -> float:

@@ -23,11 +23,11 @@ from tqdm import tqdm
 import sonarjax as sj
 from experiments.common.engine import engine
 from experiments.common.frames import TILTS_DEG, VALIDATION_SEED, TestFrame, paper_frames, sonar_for
-from experiments.common.judge import target
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns, summary_deg, yaw_error_deg
 from experiments.common.recognizers import recognizers
 from experiments.common.runs import Job
+from experiments.common.scores import target
 from experiments.common.segmenters import Name, map_of
 from sonarjax.recognize import ECHO_ITERATIONS, FRAME_BLURS, MAP_REFINEMENT
 

@@ -1,4 +1,4 @@
-"""What do the paper's scenes look like here? Arrays for its Fig. 2 to 7; nothing is judged.
+"""What do the paper's scenes look like here? Arrays for its Fig. 2 to 7; nothing is summary_of.
 
 python -m experiments.paper_scenes [--preset smoke] [--help]
 """
@@ -15,10 +15,10 @@ import numpy as np
 import sonarjax as sj
 from experiments.common.engine import engine
 from experiments.common.frames import GROUND_RANGE_M, paper_frames, sonar_for
-from experiments.common.judge import target
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import markdown
 from experiments.common.runs import Job
+from experiments.common.scores import target
 from sonarjax.data import make_pairs, split_key
 
 OBJECTS = {

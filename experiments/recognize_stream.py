@@ -31,10 +31,10 @@ from tqdm import tqdm
 
 import sonarjax as sj
 from experiments.common.frames import GROUND_RANGE_M, sonar_for
-from experiments.common.judge import target
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns, yaw_error_deg
 from experiments.common.runs import Job, code_digest
+from experiments.common.scores import target
 from experiments.common.stream import WAYS, Finder, Named, frames_of, picture, seconds_of, taken_up, turning
 from sonarjax.cli import SCHEMA
 from sonarjax.cli import _record as to_json
@@ -158,7 +158,7 @@ def _record(finder: Finder, label: str, frame: Any, seen: set[bool]) -> dict[str
         message = " ".join(str(error).split())
         tqdm.write(f"recognize_stream: {message if label in message else f'{label}: {message}'}", file=sys.stderr)
         return {"frame": label, "error": message, "schema": SCHEMA}
-    # The first recognized and the first tracked frame compile: `warm` is what speed is judged by.
+    # The first recognized and the first tracked frame compile: `warm` is what speed is summary_of by.
     warm = tracked in seen
     seen.add(tracked)
     more = {"tracked": tracked, "warm": warm, "time_s": seconds_of(frame.meta)}

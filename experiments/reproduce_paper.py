@@ -3,7 +3,7 @@
 python -m experiments.reproduce_paper [--preset smoke] [--help]: the main job (`make reproduce`).
 
 The 288 frames of §4.1 on the 10° grid give Tables 3 and 4, PSNR and IoU (§4.3) and accuracy (§4.4); the same frames
-with random yaw offsets are where refinement is judged. Thresholds were fixed beforehand on validation frames.
+with random yaw offsets are where refinement is summary_of. Thresholds were fixed beforehand on validation frames.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ import numpy as np
 
 from experiments.common import paper
 from experiments.common.frames import TILTS_DEG, TestFrame, paper_frames
-from experiments.common.judge import Found, judged, recognize_all
 from experiments.common.launch import Report, launch
 from experiments.common.maps import map_metrics
 from experiments.common.metrics import columns
 from experiments.common.runs import Job, load_arrays
+from experiments.common.scores import Found, recognize_all, summary_of
 from experiments.common.segmenters import Name
 from experiments.common.tables import correlation_table, off_diagonal, receiver_curve
 
@@ -50,7 +50,7 @@ class Settings:
     step_deg: int = 10
     """Yaw step of each set [deg], a divisor of 90; 10 gives the 288 frames of §4.1."""
     yaw_offset_deg: float = 5.0
-    """Largest offset of each yaw from the grid [deg], where refinement is judged."""
+    """Largest offset of each yaw from the grid [deg], where refinement is summary_of."""
     tilts_deg: tuple[float, ...] = TILTS_DEG
     """Tilts of the sonar [deg], of those of §4.1."""
 
@@ -90,14 +90,14 @@ def _on_grid(job: Job, frames: list[TestFrame], name: str) -> dict[str, Any]:
     facts = {"is_target": found.is_target[shown], "tilt_deg": [frames[k].tilt_deg for k in shown]}
     job.arrays(f"maps_{name}", semantic=[maps[k] for k in shown], **pictures, **facts)
     own = [k for k, frame in enumerate(frames) if frame.is_target]
-    return judged(found) | map_metrics([maps[k] for k in own], [frames[k] for k in own]) | {"auc": area}
+    return summary_of(found) | map_metrics([maps[k] for k in own], [frames[k] for k in own]) | {"auc": area}
 
 
 def _off_grid(job: Job, frames: list[TestFrame], name: str) -> dict[str, Any]:
     """Recognition and refinement at yaws off the grid."""
     found = recognize_all(frames, name, refine=True)
     job.arrays(f"offset_{name}", **_arrays(found, frames))
-    return judged(found)
+    return summary_of(found)
 
 
 def _arrays(found: Found, frames: list[TestFrame]) -> dict[str, Any]:

@@ -20,10 +20,10 @@ import numpy as np
 import sonarjax as sj
 from experiments.common.engine import engine
 from experiments.common.frames import GROUND_RANGE_M, TILTS_DEG, TestFrame, paper_frames, sonar_for
-from experiments.common.judge import target
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns, yaw_error_deg
 from experiments.common.runs import Job
+from experiments.common.scores import target
 from experiments.common.segmenters import map_of
 from sonarjax.segment import to_grey
 

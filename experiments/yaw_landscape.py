@@ -22,10 +22,10 @@ import numpy as np
 import sonarjax as sj
 from experiments.common.engine import engine
 from experiments.common.frames import GROUND_RANGE_M, TestFrame, sonar_for
-from experiments.common.judge import target
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns
 from experiments.common.runs import Job
+from experiments.common.scores import target
 from experiments.yaw_basin import CONFIG, CONVERGED, SHARPNESS_OF, MapName, image_of, moved, target_frames
 from sonarjax.refine import plan_refinement
 from sonarjax.refine.objective import ROW_STRIDE, Blur, make_blur, normalised
@@ -77,7 +77,9 @@ def run(settings: Settings, job: Job) -> Report:
     for name, parts in lines.items():
         values = {key: np.array(v, float) for key, v in parts.items()}
         arrays |= {f"{name}_{key}": v for key, v in values.items()}
-        rows += [{"map": name} | row for row in judged(*(values[key] for key in ("derivative", "differences", "own")))]
+        rows += [
+            {"map": name} | row for row in summary_of(*(values[key] for key in ("derivative", "differences", "own")))
+        ]
     job.arrays("derivatives", yaw_deg=line_deg(settings)[1:-1], blur=CONFIG.blurs, **arrays)
     paths = []
     for name, parts in job.map(lambda name: _landscape(name, shown, settings), settings.maps, "landscape").items():
@@ -151,7 +153,7 @@ def central(values: np.ndarray) -> np.ndarray:
     return (values[2:] - values[:-2]) / math.radians(2 * LINE_STEP_DEG)
 
 
-def judged(ours: np.ndarray, finer: np.ndarray, own: np.ndarray) -> list[dict[str, float]]:
+def summary_of(ours: np.ndarray, finer: np.ndarray, own: np.ndarray) -> list[dict[str, float]]:
     """A row for each blur, of derivatives and differences (frame, point, blur): errors as shares of the RMS."""
     rows = []
     for k, blur in enumerate(CONFIG.blurs):

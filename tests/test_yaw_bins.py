@@ -50,6 +50,7 @@ def image(mesh, sonar) -> np.ndarray:
     return seen
 
 
+@pytest.mark.slow
 def test_the_nearest_of_the_bins_is_found(image, mesh, sonar):
     found = {}
     for bins, nearest_deg in ((FINE, 35.0), (COARSE, 40.0), (FINE, 35.0)):  # again: no bank is taken for another's

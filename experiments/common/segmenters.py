@@ -17,7 +17,7 @@ from experiments.common.engine import engine
 from experiments.common.frames import TestFrame
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.segment import SEGMENTERS
-from sonarjax.segment.whole import segment_frame
+from sonarjax.segment.tiled import segment_frame
 
 DISCRIMINATIVE, TILES, TRUTH = "discriminative", "pix2pix-tiles", "truth"
 Name = Literal["truth", "pix2pix", "pix2pix-tiles", "discriminative", "none", "otsu", "otsu1", "otsu3", "median-otsu"]

@@ -8,12 +8,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sonarjax.render.profile import Ends, Scene, corners_of, floor_line, piece_range, trace_tau
 from sonarjax.render.segments import plane_line
-from sonarjax.render.slices import Slabs
+from sonarjax.render.slabs import Slabs
+from sonarjax.render.spans import Ends, Scene, corners_of, floor_line, interval_range, trace_tau
 from sonarjax.sonar import Sonar
 
-USUAL_PIECES = 16  # of all the pieces that a slice might hold, about this many are seen
+USUAL_INTERVALS = 16  # of all the intervals that a slice might hold, about this many are seen
 NARROWEST = 0.05  # least spread of a cell [bins]: the sum along range keeps float32's digits
 DB_TO_NEPER = math.log(10.0) / 10.0
 
@@ -30,13 +30,13 @@ def strength(
 def object_energy(
     ends: Ends, slabs: Slabs, scene: Scene, sonar: Sonar, elevations: int, edges: Float[Array, "edge"]
 ) -> Float[Array, "slab range"]:
-    """Energy [rad/m²] per range bin of each slab, from the visible pieces' `ends`; `edges` (edge,) [m].
+    """Energy [rad/m²] per range bin of each slab, from the visible intervals' `ends`; `edges` (edge,) [m].
 
-    Each piece is cut into cells, so that a slice has about `elevations` of them; a cell's energy is spread evenly
+    Each interval is cut into cells, so that a slice has about `elevations` of them; a cell's energy is spread evenly
     over the ranges it covers and what its surface moves in range across the slab.
     """
-    pieces = ends.tau.shape[1] // 2
-    cells = max(1, math.ceil(elevations / min(pieces, USUAL_PIECES)))
+    intervals = ends.tau.shape[1] // 2
+    cells = max(1, math.ceil(elevations / min(intervals, USUAL_INTERVALS)))
 
     def cell_ends(azimuth: Float[Array, "slab"]) -> tuple[Array, tuple[Array, ...]]:
         distance, *others = _cells(ends, azimuth, scene, cells)
@@ -45,14 +45,14 @@ def object_energy(
     along = (slabs.middle,), (jnp.ones_like(slabs.middle),)
     distance, slope, (tau, cosine, nearest, farthest) = jax.jvp(
         cell_ends, *along, has_aux=True
-    )  # (slab, piece, cell end)
+    )  # (slab, interval, cell end)
     slope = slope * slabs.width[:, None, None]
     # The plane of a facet that is seen edge-on may pass close by the head: no point is beyond the facet's own corners.
     near = jnp.clip(jnp.minimum(distance[..., 1:], distance[..., :-1]), nearest, farthest)
     far = jnp.clip(jnp.maximum(distance[..., 1:], distance[..., :-1]), nearest, farthest)
     angle = jnp.diff(jnp.arctan(tau), axis=-1)
     energy = angle * strength((near + far) / 2, (cosine[..., 1:] + cosine[..., :-1]) / 2, sonar) / 2
-    energy = jnp.where(ends.surface[:, :pieces, None] >= 0, energy, 0.0)
+    energy = jnp.where(ends.surface[:, :intervals, None] >= 0, energy, 0.0)
     # Half of the energy in each half of the slab. A box's spread over elevation and one over azimuth make a box here
     # whose variance is the sum of theirs; one as wide as both together would smear narrow echoes.
     centre, moved = (near + far) / 2, (slope[..., 1:] + slope[..., :-1]) / 8
@@ -66,9 +66,9 @@ def object_energy(
 
 
 def _cells(ends: Ends, azimuth: Float[Array, "slab"], scene: Scene, cells: int) -> tuple[Array, ...]:
-    """Range [m], elevation tangent and cos(incidence) (slab, piece, cell end) at `azimuth` [rad].
+    """Range [m], elevation tangent and cos(incidence) (slab, interval, cell end) at `azimuth` [rad].
 
-    Then the nearest and the farthest range [m] that each cell's facet reaches (slab, piece, cell).
+    Then the nearest and the farthest range [m] that each cell's facet reaches (slab, interval, cell).
     """
     theta = azimuth[..., None]
     corners = corners_of(scene, ends.surface)
@@ -76,9 +76,9 @@ def _cells(ends: Ends, azimuth: Float[Array, "slab"], scene: Scene, cells: int) 
     low, high = jnp.split(trace_tau(ends, theta, scene, (line[..., 0], line[..., 1]))[0], 2, axis=-1)
     share = jnp.linspace(0.0, 1.0, cells + 1)
     tau = low[..., None] + jnp.maximum(high - low, 0.0)[..., None] * share
-    pieces = low.shape[-1]
-    distance = piece_range(line[..., :pieces, None, :], tau)
-    corners = corners[:, :pieces]
+    intervals = low.shape[-1]
+    distance = interval_range(line[..., :intervals, None, :], tau)
+    corners = corners[:, :intervals]
     normal = jnp.cross(corners[..., 1, :] - corners[..., 0, :], corners[..., 2, :] - corners[..., 0, :])
     normal = normal / jnp.sqrt((normal**2).sum(-1, keepdims=True) + 1e-24)
     lateral = normal[..., 0] * jnp.cos(theta) + normal[..., 1] * jnp.sin(theta)
@@ -134,7 +134,9 @@ def floor_energy(
 def _floor_span(a: Array, b: Array, scene: Scene) -> tuple[Array, Array]:
     """Nearest and farthest floor range [m] inside the aperture; very far where the horizon is in view."""
     line = jnp.stack(jnp.broadcast_arrays(a, b), -1)
-    low, high = (piece_range(line, jnp.broadcast_to(tau, a.shape)) for tau in (scene.view.tau_min, scene.view.tau_max))
+    low, high = (
+        interval_range(line, jnp.broadcast_to(tau, a.shape)) for tau in (scene.view.tau_min, scene.view.tau_max)
+    )
     return low, high
 
 

@@ -63,11 +63,11 @@ class SonarFrame:
     """What looked."""
 
     def semantic(self) -> Float[Array, "*batch range beam"]:
-        """One grey image (*batch, range, beam): shadow 0, background 0.5, highlight 1, mixed by the pixel's shares."""
+        """One grey image (range, beam) of each frame: shadow 0, background 0.5, highlight 1, by shares."""
         return semantic_image(self.highlight, self.shadow)
 
     def labels(self) -> UInt8[Array, "*batch range beam"]:
-        """The class (*batch, range, beam) with the largest share: 0 background, 1 highlight, 2 shadow."""
+        """The class (range, beam) of each frame with the largest share: 0 background, 1 highlight, 2 shadow."""
         shares = jnp.stack(
             [(1 - self.highlight) * (1 - self.shadow), self.highlight, self.shadow * (1 - self.highlight)]
         )

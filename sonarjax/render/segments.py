@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 NEAR_M = 1e-2  # surfaces nearer to the sonar head than this are cut off
 
-# How the end of a visible piece is found again when it is differentiated.
+# How the end of a visible interval is found again when it is differentiated.
 EDGE, TAU_MIN, TAU_MAX, FLOOR, NEAR, CROSSING, FIXED = range(7)
 
 

@@ -1,7 +1,8 @@
 """The simulator's core: one window of a sonar image from a surface in the sonar frame (§2.1, eq. 1–2).
 
-Slabs of azimuth (`slices`), triangles cut by their half-planes (`candidates`, `segments`), the exact visible profile
-(`envelope`), its ends as differentiable ranges (`profile`), and their footprints in the range bins (`footprint`).
+Its stages, a file each: azimuth `slabs`; the triangles that each may see, cut by its half-plane (`candidates`,
+`segments`); their visible intervals (`visibility`); echo spans and occluded spans with differentiable ends (`spans`);
+and how much of each range bin these cover (`rasterise`).
 """
 
 from __future__ import annotations
@@ -15,25 +16,25 @@ from jaxtyping import Array, Bool, Float, Int
 
 from sonarjax.render.candidates import candidates, front_faces
 from sonarjax.render.energy import floor_energy, floor_lit, object_energy
-from sonarjax.render.envelope import Pieces, is_sampled, visible_pieces
-from sonarjax.render.footprint import covered, spread
 from sonarjax.render.frame import RenderQuality, SonarFrame, Window
-from sonarjax.render.patch import patch_lit, patch_span
-from sonarjax.render.profile import (
-    Outline,
+from sonarjax.render.materialise import materialised
+from sonarjax.render.platform import platform_lit, platform_span
+from sonarjax.render.rasterise import covered, spread
+from sonarjax.render.segments import Segments, View, cut
+from sonarjax.render.slabs import Slabs, event_azimuths, make_slabs
+from sonarjax.render.spans import (
     Scene,
+    Spans,
     all_ends,
     corners_of,
     facet_width,
-    find_outline,
+    find_spans,
     incidence_cosine,
-    lit_pieces,
+    lit_intervals,
     max_items,
     trace_ranges,
 )
-from sonarjax.render.segments import Segments, View, cut
-from sonarjax.render.slices import Slabs, event_azimuths, make_slabs
-from sonarjax.render.stage import computed_once
+from sonarjax.render.visibility import VisibleIntervals, is_sampled, visible_intervals
 from sonarjax.scene import Mesh, Pose
 from sonarjax.scene.pose import rotation_x, rotation_y
 from sonarjax.sonar import Sonar
@@ -41,17 +42,17 @@ from sonarjax.sonar import Sonar
 STEEPEST = 2.0  # slope in range per arc length [1] up to which a facet stands for its neighbours in the slab
 
 
-class Visible(NamedTuple):
+class VisibleProfile(NamedTuple):
     """The visible profile of every slab; no part of it carries a gradient."""
 
-    pieces: Pieces
+    intervals: VisibleIntervals
     """Which candidate is nearest at which elevations."""
     segments: Segments
     """The candidates, cut by the slab's half-plane: fields (slab, candidate, ...)."""
     table: Int[Array, "slab candidate"]
     """Triangle that each candidate is, or -1."""
-    outline: Outline
-    """Runs of the object and stretches of hidden floor."""
+    spans: Spans
+    """Echo spans of the object, and spans of hidden floor."""
     overflow: Int[Array, ""]
     """Triangles for which the fullest slice had no room."""
 
@@ -68,8 +69,8 @@ def in_sonar_frame(mesh: Mesh, pose: Pose, sonar: Sonar) -> Scene:
 
 def find_visible(
     mesh: Mesh, scene: Scene, slabs: Slabs, sonar: Sonar, elevations: int, by_facet: Bool[Array, ""] | bool = False
-) -> Visible:
-    """The visible profile in the middle of each slab (none of it with a gradient); `by_facet` as in `find_outline`."""
+) -> VisibleProfile:
+    """The visible profile in the middle of each slab (none of it with a gradient); `by_facet` as in `find_spans`."""
     fixed = stop_gradient(scene)
     azimuth = stop_gradient(slabs.middle)
     seen = front_faces(fixed.vertices, fixed.faces, mesh.closed)
@@ -81,34 +82,37 @@ def find_visible(
         segments = cut(corners_of(fixed, table), azimuth[:, None], fixed.view)
         return segments._replace(hit=segments.hit & (table >= 0))
 
-    def outline_of(pieces: Pieces, segments: Segments, table: Array, azimuth: Array) -> Outline:
-        lit = jnp.ones(pieces.winner.shape, bool)
+    def spans_of(intervals: VisibleIntervals, segments: Segments, table: Array, azimuth: Array) -> Spans:
+        lit = jnp.ones(intervals.winner.shape, bool)
         if sonar.highlight_max_incidence < 90.0:
-            cosine = incidence_cosine(pieces, segments, corners_of(fixed, table), azimuth)
-            lit = lit_pieces(cosine, sonar.highlight_max_incidence)
+            cosine = incidence_cosine(intervals, segments, corners_of(fixed, table), azimuth)
+            lit = lit_intervals(cosine, sonar.highlight_max_incidence)
         items = max_items(mesh.crossings, by_facet is not False)
-        return find_outline(pieces, segments, table, lit, items, is_sampled(segments), by_facet)
+        return find_spans(intervals, segments, table, lit, items, is_sampled(segments), by_facet)
 
-    segments = computed_once(cut_slabs, azimuth, table)
-    pieces = visible_pieces(segments, mesh.intersecting, elevations)
-    outline = computed_once(outline_of, pieces, segments, table, azimuth)
-    return Visible(pieces, segments, table, outline, overflow)
+    segments = materialised(cut_slabs, azimuth, table)
+    intervals = visible_intervals(segments, mesh.intersecting, elevations)
+    spans = materialised(spans_of, intervals, segments, table, azimuth)
+    return VisibleProfile(intervals, segments, table, spans, overflow)
 
 
 def render_window(mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, quality: RenderQuality) -> SonarFrame:
-    """Render one window of the image; layers that are not used cost nothing under `jax.jit`."""
+    """Render one window of the image: slabs → candidates → visible intervals → spans → rasterise.
+
+    Layers that are not used cost nothing under `jax.jit`.
+    """
     elevations = quality.elevations
     rows, columns = window.shape
     scene = in_sonar_frame(mesh, pose, sonar)
     slabs = _slabs_of(mesh, scene, sonar, window, quality.sub_beams)
     visible = find_visible(mesh, scene, slabs, sonar, elevations)
     edges, azimuth = _edges_of(sonar, window), _columns(jnp.asarray(sonar.azimuth), window.column, columns)
-    runs, stretches = _swept_ends(visible.outline, slabs, scene, sonar, edges)
-    highlight = _per_beam(slabs, covered(*_pulsed(*runs, sonar), visible.outline.runs, rows))
-    shadow = _per_beam(slabs, covered(*stretches, visible.outline.stretches, rows))
-    ends = all_ends(visible.pieces, visible.segments, visible.table)
+    echo_spans, occluded_spans = _swept_ends(visible.spans, slabs, scene, sonar, edges)
+    highlight = _per_beam(slabs, covered(*_pulsed(*echo_spans, sonar), visible.spans.echo_spans, rows))
+    shadow = _per_beam(slabs, covered(*occluded_spans, visible.spans.occluded_spans, rows))
+    ends = all_ends(visible.intervals, visible.segments, visible.table)
     echo = _per_beam(slabs, object_energy(ends, slabs, scene, sonar, elevations, edges))
-    floor = patch_lit(azimuth, scene, sonar, edges)
+    floor = platform_lit(azimuth, scene, sonar, edges)
     bare = floor_energy(azimuth, scene, sonar, edges) * floor
     lit = (floor_lit(azimuth, scene, edges) & floor) | (highlight > 0.5)
     intensity = jnp.maximum(echo, 0.0) + bare * jnp.maximum(1 - shadow, 0.0)
@@ -145,14 +149,14 @@ def render_echo(
     rows = window.shape[0]
     scene = in_sonar_frame(mesh, pose, sonar)
     slabs = _slabs_of(mesh, scene, sonar, window, quality.sub_beams)
-    outline = find_visible(mesh, scene, slabs, sonar, quality.elevations, jnp.asarray(by_facet)).outline
-    runs, stretches = _swept_ends(outline, slabs, scene, sonar, _edges_of(sonar, window))
-    shown = _pulsed(*runs, sonar)
+    spans = find_visible(mesh, scene, slabs, sonar, quality.elevations, jnp.asarray(by_facet)).spans
+    echo_spans, occluded_spans = _swept_ends(spans, slabs, scene, sonar, _edges_of(sonar, window))
+    shown = _pulsed(*echo_spans, sonar)
     length = stop_gradient(shown[0][:, 1] - shown[0][:, 0])
-    density = jnp.where(outline.runs, outline.angle / jnp.maximum(length, 1.0), 0.0)
+    density = jnp.where(spans.echo_spans, spans.angle / jnp.maximum(length, 1.0), 0.0)
     echo = jnp.maximum(_per_beam(slabs, spread(*shown, density, rows)), 0.0)
-    highlight = _per_beam(slabs, covered(*shown, outline.runs, rows))
-    return EchoLayers(echo, highlight, _per_beam(slabs, covered(*stretches, outline.stretches, rows)))
+    highlight = _per_beam(slabs, covered(*shown, spans.echo_spans, rows))
+    return EchoLayers(echo, highlight, _per_beam(slabs, covered(*occluded_spans, spans.occluded_spans, rows)))
 
 
 def _slabs_of(mesh: Mesh, scene: Scene, sonar: Sonar, window: Window, sub_beams: int) -> Slabs:
@@ -178,30 +182,30 @@ def _pairs(ends: Float[Array, "slab end"]) -> Float[Array, "slab 2 item"]:
 
 
 def _swept_ends(
-    outline: Outline, slabs: Slabs, scene: Scene, sonar: Sonar, edges: Float[Array, "edge"]
+    spans: Spans, slabs: Slabs, scene: Scene, sonar: Sonar, edges: Float[Array, "edge"]
 ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    """Both ends (slab, 2, run) [bins] in the middle of each slab, and half their sweep; the same of the stretches."""
+    """Both ends (slab, 2, item) [bins] of echo spans mid-slab, and half their sweep; the same of occluded spans."""
 
     def bins(azimuth: Float[Array, "slab"]) -> Float[Array, "slab end"]:
-        ranges = trace_ranges(outline, azimuth, scene)
+        ranges = trace_ranges(spans, azimuth, scene)
         if sonar.floor is not None:  # only a floor that is there is hidden
-            ranges = jnp.where(outline.on_object, ranges, jnp.clip(ranges, *patch_span(azimuth, scene, sonar)))
+            ranges = jnp.where(spans.on_object, ranges, jnp.clip(ranges, *platform_span(azimuth, scene, sonar)))
         return (ranges - edges[0]) / sonar.range_bin
 
     middle, slope = jax.jvp(bins, (slabs.middle,), (jnp.ones_like(slabs.middle),))
     # A facet narrower than the slab is followed only as far as it reaches, or as a surface of STEEPEST would be.
     half_width = (slabs.width / 2)[:, None]
-    reach = facet_width(outline, slabs.middle, scene)
+    reach = facet_width(spans, slabs.middle, scene)
     steep = STEEPEST * (middle + edges[0] / sonar.range_bin) / jnp.maximum(jnp.abs(slope), 1e-6)
     half = slope * stop_gradient(jnp.minimum(half_width, jnp.maximum(reach, steep * half_width)))
-    n_object = 2 * outline.runs.shape[1]  # the first ends lie on the object, the others on the floor
-    runs = _pairs(middle[:, :n_object]), _pairs(half[:, :n_object])
-    return runs, (_pairs(middle[:, n_object:]), _pairs(half[:, n_object:]))
+    n_object = 2 * spans.echo_spans.shape[1]  # the first ends lie on the object, the others on the floor
+    echo_spans = _pairs(middle[:, :n_object]), _pairs(half[:, :n_object])
+    return echo_spans, (_pairs(middle[:, n_object:]), _pairs(half[:, n_object:]))
 
 
 def _pulsed(
-    middle: Float[Array, "slab 2 run"], half: Float[Array, "slab 2 run"], sonar: Sonar
-) -> tuple[Float[Array, "slab 2 run"], Float[Array, "slab 2 run"]]:
+    middle: Float[Array, "slab 2 echo_span"], half: Float[Array, "slab 2 echo_span"], sonar: Sonar
+) -> tuple[Float[Array, "slab 2 echo_span"], Float[Array, "slab 2 echo_span"]]:
     """Runs no shorter than the pulse (at least a bin)."""
     pulse = jnp.maximum(jnp.asarray(sonar.pulse_length, jnp.float32) / sonar.range_bin, 1.0)
     short = (middle[:, 1] - middle[:, 0] < pulse)[:, None]

@@ -1,6 +1,6 @@
 """The stride-2 4 × 4 layers as matrix products, down and up with their gradients, in one of two schemes.
 
-`winograd` multiplies less, `direct` moves less. Both are a linear step on the large map (`gather`), one on the small
+`winograd` multiplies less, `matmul` moves less. Both are a linear step on the large map (`gather`), one on the small
 map (`split`), one on the kernel, and matrix products between: each of the layers and gradients is two steps' outputs
 multiplied and the transpose of the third step.
 """
@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from sonarjax.segment import direct, winograd
+from sonarjax.segment import matmul, winograd
 
 THIN = 8
 """Channels of the large map below which its tiles are too thin to be worth transforming."""
@@ -35,9 +35,9 @@ def up(x: Array, kernel: Array) -> Array:
 
 
 def scheme(n: int, h: int, w: int, channels: int) -> ModuleType:
-    """The scheme for a small map of (n, h, w) pixels and `channels` of the large one: `winograd` or `direct`."""
+    """The scheme for a small map of (n, h, w) pixels and `channels` of the large one: `winograd` or `matmul`."""
     even = h % 2 == 0 and w % 2 == 0
-    return winograd if even and channels >= THIN and n * h * w >= 4 * TILES else direct
+    return winograd if even and channels >= THIN and n * h * w >= 4 * TILES else matmul
 
 
 @partial(jax.custom_vjp, nondiff_argnums=(0,))

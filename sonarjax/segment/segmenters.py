@@ -13,8 +13,8 @@ from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.safetensors import read_safetensors
 from sonarjax.segment.classical import CLASSICAL, THRESHOLDS, from_grey, threshold_labels, to_grey
+from sonarjax.segment.tiled import TILE, segment_frame
 from sonarjax.segment.weights import GeneratorWeights, load_generator, shipped_path
-from sonarjax.segment.whole import TILE, segment_frame
 
 NETWORK = "pix2pix"
 SEGMENTERS = (NETWORK, *CLASSICAL)

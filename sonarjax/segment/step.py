@@ -1,8 +1,8 @@
 """One step of training, as pure jitted functions of a `GanState`: pix2pix, and cross-entropy with the same U-Net.
 
-A step is a *turn* (the maps, the discriminator's move, the generator's gradient) and then the generator's move: two
-compiled functions, which XLA compiles sooner than one. Every mean runs over the whole batch, so a batch that is sharded
-over devices gives the step of one device.
+A step is two compiled functions, which XLA compiles sooner than one: the gradients (the maps, the discriminator's
+update, the generator's gradient), and then the generator's update. Every mean runs over the whole batch, so a batch
+that is sharded over devices gives the step of one device.
 """
 
 from __future__ import annotations
@@ -123,15 +123,15 @@ def create_state(config: GanConfig, *, key: Array) -> GanState:
     first, second = jax.random.split(key)
     image = jnp.zeros((1, 128, 128, 1))
     variables = draw_variables(config.generator(), image, key=first)
-    judge = draw_variables(config.discriminator(), image, image, key=second)["params"]
+    discriminator = draw_variables(config.discriminator(), image, image, key=second)["params"]
     adam = config.optimiser()
     return GanState(
         step=jnp.zeros((), jnp.int32),
         generator=variables["params"],
         batch_stats=variables["batch_stats"],
-        discriminator=judge,
+        discriminator=discriminator,
         generator_optimiser=adam.init(variables["params"]),
-        discriminator_optimiser=adam.init(judge),
+        discriminator_optimiser=adam.init(discriminator),
         ema=jax.tree.map(jnp.copy, variables["params"]),
         ema_stats=jax.tree.map(jnp.copy, variables["batch_stats"]),
         config=config,
@@ -140,7 +140,7 @@ def create_state(config: GanConfig, *, key: Array) -> GanState:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Turn:
+class Gradients:
     """What a step finds before the generator moves; a pytree."""
 
     gradient: Any
@@ -164,10 +164,10 @@ def train_step(
 ) -> tuple[GanState, Losses]:
     """One step of both networks on images `x` and semantic maps `y`, both (batch, height, width, 1) in [−1, 1].
 
-    Dropout is drawn from `key`. `state` is donated. Losses by name: those of `train_turn`.
+    Dropout is drawn from `key`. `state` is donated. Losses by name: those of `pix2pix_gradients`.
     """
-    turn = train_turn(state, x, y, key=key)
-    return move(state, turn), turn.losses
+    gradients = pix2pix_gradients(state, x, y, key=key)
+    return update(state, gradients), gradients.losses
 
 
 def discriminative_step(
@@ -182,19 +182,19 @@ def discriminative_step(
     Images `x` (batch, height, width, 1) in [−1, 1], `labels` (batch, height, width), dropout from `key`. `state` is
     donated. Loss by name: `cross_entropy`.
     """
-    turn = discriminative_turn(state, x, labels, key=key)
-    return move(state, turn), turn.losses
+    gradients = discriminative_gradients(state, x, labels, key=key)
+    return update(state, gradients), gradients.losses
 
 
 @jax.jit
-def train_turn(
+def pix2pix_gradients(
     state: GanState,
     x: Float[Array, "batch height width 1"],
     y: Float[Array, "batch height width 1"],
     *,
     key: Array,
-) -> Turn:
-    """The turn of pix2pix on images `x` and semantic maps `y`, both (batch, height, width, 1) in [−1, 1].
+) -> Gradients:
+    """The gradients of pix2pix on images `x` and semantic maps `y`, both (batch, height, width, 1) in [−1, 1].
 
     The generator's maps are made once (its dropout drawn from `key`) and serve both: the discriminator moves first, the
     generator then answers the moved one. Losses by name: `discriminator`, `adversarial`, `distance`, and
@@ -204,16 +204,18 @@ def train_turn(
     generate = partial(_generate, config, state.batch_stats, x, key)
     output, pull_back, batch_stats = jax.vjp(generate, state.generator, has_aux=True)
     made, grey_pull_back = jax.vjp(to_grey, output)
-    judge = partial(_judge, config, x)
+    discriminate = partial(_discriminate, config, x)
 
-    def judge_loss(params: Any) -> Array:
-        return discriminator_loss(judge(y, params), judge(made, params))
+    def loss_of_discriminator(params: Any) -> Array:
+        return discriminator_loss(discriminate(y, params), discriminate(made, params))
 
-    lost, judge_gradient = jax.value_and_grad(judge_loss)(state.discriminator)
-    discriminator, judge_optimiser = _adam(config, judge_gradient, state.discriminator_optimiser, state.discriminator)
+    lost, discriminator_gradient = jax.value_and_grad(loss_of_discriminator)(state.discriminator)
+    discriminator, discriminator_optimiser = _adam(
+        config, discriminator_gradient, state.discriminator_optimiser, state.discriminator
+    )
 
     def answer(grey: Array) -> tuple[Array, Losses]:
-        adversarial = adversarial_loss(judge(grey, discriminator), config.saturating)
+        adversarial = adversarial_loss(discriminate(grey, discriminator), config.saturating)
         distance = distance_loss(x, y, grey, config.normaliser)
         total = config.adversarial * adversarial + config.distance * distance
         return total, {"adversarial": adversarial, "distance": distance}
@@ -225,18 +227,18 @@ def train_turn(
         at_output = at_output + config.cross_entropy * more
         losses["cross_entropy"] = entropy
     (gradient,) = pull_back(at_output)
-    return Turn(gradient, batch_stats, discriminator, judge_optimiser, {"discriminator": lost, **losses})
+    return Gradients(gradient, batch_stats, discriminator, discriminator_optimiser, {"discriminator": lost, **losses})
 
 
 @jax.jit
-def discriminative_turn(
+def discriminative_gradients(
     state: GanState,
     x: Float[Array, "batch height width 1"],
     labels: UInt8[Array, "batch height width"],
     *,
     key: Array,
-) -> Turn:
-    """The turn of the discriminative model, in which the discriminator rests.
+) -> Gradients:
+    """The gradients of the discriminative model, in which the discriminator rests.
 
     Images `x` (batch, height, width, 1) in [−1, 1], `labels` (batch, height, width), dropout from `key`. Loss by name:
     `cross_entropy`.
@@ -248,13 +250,15 @@ def discriminative_turn(
         return cross_entropy(output, labels, config.class_weights), batch_stats
 
     (lost, batch_stats), gradient = jax.value_and_grad(loss, has_aux=True)(state.generator)
-    return Turn(gradient, batch_stats, state.discriminator, state.discriminator_optimiser, {"cross_entropy": lost})
+    return Gradients(gradient, batch_stats, state.discriminator, state.discriminator_optimiser, {"cross_entropy": lost})
 
 
-def move(state: GanState, turn: Turn) -> GanState:
-    """The state after a turn: the discriminator as it moved, the generator moved by Adam. `state` is donated."""
-    judged = replace(state, discriminator=turn.discriminator, discriminator_optimiser=turn.discriminator_optimiser)
-    return _move_generator(judged, turn.gradient, turn.batch_stats)
+def update(state: GanState, gradients: Gradients) -> GanState:
+    """The state after a step: the discriminator as updated, the generator updated by Adam. `state` is donated."""
+    updated = replace(
+        state, discriminator=gradients.discriminator, discriminator_optimiser=gradients.discriminator_optimiser
+    )
+    return _update_generator(updated, gradients.gradient, gradients.batch_stats)
 
 
 def _generate(config: GanConfig, batch_stats: Any, x: Array, key: Array, params: Any) -> tuple[Array, Any]:
@@ -264,12 +268,12 @@ def _generate(config: GanConfig, batch_stats: Any, x: Array, key: Array, params:
     return output, changed["batch_stats"]
 
 
-def _judge(config: GanConfig, x: Array, y: Array, params: Any) -> Array:
+def _discriminate(config: GanConfig, x: Array, y: Array, params: Any) -> Array:
     return jnp.asarray(config.discriminator().apply({"params": params}, x, y))
 
 
 @partial(jax.jit, donate_argnums=0)
-def _move_generator(state: GanState, gradient: Any, batch_stats: Any) -> GanState:
+def _update_generator(state: GanState, gradient: Any, batch_stats: Any) -> GanState:
     config = state.config
     params, optimiser = _adam(config, gradient, state.generator_optimiser, state.generator)
     # With few steps done their plain mean is better than an average that remembers the draw of the weights.

@@ -14,7 +14,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from sonarjax.segment.direct import shifted
+from sonarjax.segment.matmul import shifted
 
 Nine = list[Array]
 

@@ -35,6 +35,7 @@ def test_elevation_times_spreading_is_the_energy(yaw_deg: float) -> None:
     assert float(np.asarray(shadow).max()) == 0.0  # no floor, no shadow
 
 
+@pytest.mark.slow
 def test_shadow_is_that_of_render() -> None:
     mesh, pose = sj.objects.target(), sj.Pose(2.3, 0.05, 0.6)
     expected = np.asarray(sj.render(mesh, pose, SONAR).shadow)

@@ -256,7 +256,8 @@ def assert_finite(mesh, poses):
     return value, grad
 
 
-@pytest.mark.parametrize("count", [100, pytest.param(1000, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [1000])
 def test_finite_at_many_poses(count):
     poses = special_poses(np.random.default_rng(0), count)
     _, grad = assert_finite(objects.brick(), poses)

@@ -36,7 +36,7 @@ def skewed(mirror=False):
     if not mirror:
         return CUBE.with_vertices(jnp.asarray(vertices))
     flipped = vertices * np.array([1, -1, 1], np.float32)
-    return replace(CUBE, vertices=jnp.asarray(flipped), faces=CUBE.faces[:, jnp.array([0, 2, 1])])
+    return replace(CUBE, faces=CUBE.faces[:, jnp.array([0, 2, 1])]).with_vertices(jnp.asarray(flipped))
 
 
 def layers(frame):
@@ -182,6 +182,7 @@ def test_energy_falls_with_the_square_of_range():
     assert slope == pytest.approx(-2.0, abs=2e-3)
 
 
+@pytest.mark.slow
 def test_energy_does_not_depend_on_bins_or_elevations():
     pose = Pose(x=2.2, y=0.07, yaw=0.4)
     base = np.asarray(render(skewed(), pose, SONAR).intensity, np.float64)
@@ -398,6 +399,7 @@ def test_two_objects_far_apart_are_the_union(empty):
     np.testing.assert_array_equal(both.lit, np.asarray(one.lit) | np.asarray(two.lit))
 
 
+@pytest.mark.slow
 def test_front_object_hides_the_one_behind():
     front, small = box((0.05, 0.6, 0.2), (0, 0, 0.1)), box((0.1, 0.1, 0.1), (0, 0, 0.05))
     # The shadow's edge is 0.9 − 2.2·0.7/2.025 = 0.14 m high above the small box's rear.

@@ -50,6 +50,7 @@ def test_draw_has_the_shapes_and_spread_of_init(key: jax.Array) -> None:
         assert not drawn["params"]["down1"]["bias"].any()
 
 
+@pytest.mark.slow
 def test_inference_is_pytorchs(variables: Any, image: jax.Array) -> None:
     torch = pytest.importorskip("torch")
     from tests.segment import torch_peer as peer
@@ -62,6 +63,7 @@ def test_inference_is_pytorchs(variables: Any, image: jax.Array) -> None:
     np.testing.assert_allclose(found, peer.back(wanted), atol=1e-5)
 
 
+@pytest.mark.slow
 def test_training_pass_and_gradient_are_pytorchs(variables: Any, image: jax.Array) -> None:
     pytest.importorskip("torch")
     from tests.segment import torch_peer as peer
@@ -82,6 +84,7 @@ def test_training_pass_and_gradient_are_pytorchs(variables: Any, image: jax.Arra
         np.testing.assert_allclose(found, there, atol=2e-4 * np.abs(there).max() + 1e-7, err_msg=str(path))
 
 
+@pytest.mark.slow
 def test_discriminator_is_pytorchs(image: jax.Array, key: jax.Array) -> None:
     pytest.importorskip("torch")
     from tests.segment import torch_peer as peer
@@ -169,6 +172,7 @@ def test_grey_of_classes() -> None:
     assert to_grey(jnp.full((1, 1, 1, 1), 0.3)).item() == pytest.approx(0.3)
 
 
+@pytest.mark.slow
 def test_running_statistics_are_pytorchs(rng: np.random.Generator) -> None:
     torch = pytest.importorskip("torch")
     norm, there = BatchNorm(), torch.nn.BatchNorm2d(3)

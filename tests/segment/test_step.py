@@ -13,7 +13,15 @@ import pytest
 from flax import linen as nn
 
 from sonarjax.segment.loss import labels_of
-from sonarjax.segment.step import GanConfig, GanState, create_state, discriminative_step, move, train_step, train_turn
+from sonarjax.segment.step import (
+    GanConfig,
+    GanState,
+    create_state,
+    discriminative_step,
+    pix2pix_gradients,
+    train_step,
+    update,
+)
 
 PRODUCTS = GanConfig(width=2, discriminator_width=2, multipliers=(1, 2, 2, 2, 2, 2, 2))
 # The layers have their own tests; XLA compiles a step of convolutions several times faster than one of products.
@@ -46,16 +54,17 @@ def torch_step(state: GanState, x: Any, y: Any) -> tuple[Any, Any, list[float]]:
     image, truth = peer.maps(x), peer.maps(y)
     made = peer.generator(g, image).tanh()
     real, fake = peer.discriminator(d, image, truth), peer.discriminator(d, image, made.detach())
-    judged = functional.softplus(-real).mean() + functional.softplus(fake).mean()
-    judged.backward()
+    updated = functional.softplus(-real).mean() + functional.softplus(fake).mean()
+    updated.backward()
     adams[1].step()
     adversarial = functional.softplus(-peer.discriminator(d, image, made)).mean()
     distance = (made - truth).abs().mean() / 2
     (adversarial + 100 * distance).backward()
     adams[0].step()
-    return g, d, [judged.item(), adversarial.item(), distance.item()]
+    return g, d, [updated.item(), adversarial.item(), distance.item()]
 
 
+@pytest.mark.slow
 def test_step_is_pytorchs(rng: np.random.Generator, key: jax.Array) -> None:
     pytest.importorskip("torch")
     x, y = batch(rng)
@@ -66,9 +75,9 @@ def test_step_is_pytorchs(rng: np.random.Generator, key: jax.Array) -> None:
     before = jax.tree.map(np.array, state.generator)
     g, d, losses = torch_step(state, x, y)
     with nn.intercept_methods(without_dropout):
-        # A function of its own: JAX would keep a trace of `train_turn` itself, and give it to the tests that follow.
-        turn = jax.jit(lambda *v: train_turn.__wrapped__(*v, key=key))(state, x, y)
-    moved, found = move(state, turn), turn.losses
+        # A function of its own: else the tests that follow would be given this trace of `pix2pix_gradients`.
+        gradients = jax.jit(lambda *v: pix2pix_gradients.__wrapped__(*v, key=key))(state, x, y)
+    moved, found = update(state, gradients), gradients.losses
     assert [float(found[n]) for n in ("discriminator", "adversarial", "distance")] == pytest.approx(losses, rel=1e-4)
     for ours, theirs in ((moved.generator, g), (moved.discriminator, d)):
         for path, value in jax.tree_util.tree_leaves_with_path(ours):

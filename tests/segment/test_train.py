@@ -37,6 +37,7 @@ def done(folder, tmp_path_factory):
     return run, train(tiny_recipe(folder), run)
 
 
+@pytest.mark.slow
 def test_leaves_what_it_says(done):
     run, result = done
     assert result.finished and result.step == 12 and result.weights == run / "weights.safetensors"
@@ -51,6 +52,7 @@ def test_leaves_what_it_says(done):
     assert sum(file.stat().st_size for file in (run / "events").iterdir()) > 10_000  # scalars and pictures
 
 
+@pytest.mark.slow
 def test_a_run_is_not_overwritten(done, folder):
     with pytest.raises(SonarjaxError, match="holds a run already"):
         train(tiny_recipe(folder), done[0])
@@ -59,6 +61,7 @@ def test_a_run_is_not_overwritten(done, folder):
         train(replace(recipe, networks=replace(recipe.networks, width=3)), done[0], resume=True)
 
 
+@pytest.mark.slow
 def test_stops_when_told_and_goes_on(done, folder, tmp_path, monkeypatch):
     batch = Batches.batch
 
@@ -76,6 +79,7 @@ def test_stops_when_told_and_goes_on(done, folder, tmp_path, monkeypatch):
     assert again.finished and recorded(tmp_path / "run") == recorded(done[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("first", "loss", "weight", "log_steps", "complaint"),
     [

@@ -18,7 +18,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array
 
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.segment.step import GanState, Losses, Turn, discriminative_turn, move, train_turn
+from sonarjax.segment.step import GanState, Gradients, Losses, discriminative_gradients, pix2pix_gradients, update
 from sonarjax.segment.training.batches import Stored
 from sonarjax.segment.training.recipes import Recipe
 
@@ -85,17 +85,17 @@ def make_step(recipe: Recipe, mesh: Mesh) -> Callable[[GanState, Array, Array, A
     whole, split = copied(mesh), NamedSharding(mesh, PartitionSpec("batch"))
 
     @partial(jax.jit, in_shardings=(whole, split, split, whole), out_shardings=whole)
-    def take_turn(state: GanState, image: Array, labels: Array, dropout: Any) -> Turn:
+    def take_gradients(state: GanState, image: Array, labels: Array, dropout: Any) -> Gradients:
         x = (image.astype(jnp.float32) / 127.5 - 1)[..., None]
         key = jax.random.fold_in(jax.random.wrap_key_data(dropout), state.step)
         if recipe.discriminative:
-            return discriminative_turn(state, x, labels, key=key)
+            return discriminative_gradients(state, x, labels, key=key)
         y = (labels == 1).astype(jnp.float32) - (labels == 2)
-        return train_turn(state, x, y[..., None], key=key)
+        return pix2pix_gradients(state, x, y[..., None], key=key)
 
     def step(state: GanState, image: Array, labels: Array, dropout: Any) -> tuple[GanState, Losses]:
-        turn = take_turn(state, image, labels, dropout)
-        return move(state, turn), turn.losses
+        gradients = take_gradients(state, image, labels, dropout)
+        return update(state, gradients), gradients.losses
 
     return step
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sonarjax.render.profile import Scene, floor_line, piece_range
+from sonarjax.render.spans import Scene, floor_line, interval_range
 from sonarjax.sonar import Sonar
 
 FAR_M = 1e4
 
 
-def patch_span(azimuth: Float[Array, "*slab"], scene: Scene, sonar: Sonar) -> tuple[Array, Array]:
+def platform_span(azimuth: Float[Array, "*slab"], scene: Scene, sonar: Sonar) -> tuple[Array, Array]:
     """First and last slant range [m], each (..., slab, 1), on the platform; (0, FAR_M) without one.
 
     On the floor of a slice every side of the rectangle is a linear inequality in tau.
@@ -21,7 +21,7 @@ def patch_span(azimuth: Float[Array, "*slab"], scene: Scene, sonar: Sonar) -> tu
     a, b = floor_line(azimuth, scene.view)
     low, high = _tau_span(azimuth, a, b, sonar)
     line = jnp.stack(jnp.broadcast_arrays(a, b), -1)
-    start, stop = piece_range(line, low), piece_range(line, jnp.maximum(high, low))
+    start, stop = interval_range(line, low), interval_range(line, jnp.maximum(high, low))
     return start[..., None], stop[..., None]
 
 
@@ -55,8 +55,8 @@ def _ground_direction(azimuth: Array, sonar: Sonar) -> tuple[tuple[Array, Array]
     return (ct * c + st * sr * s, st * cr), (cr * s, -sr)
 
 
-def patch_lit(azimuth: Float[Array, "beam"], scene: Scene, sonar: Sonar, edges: Float[Array, "edge"]) -> Array:
+def platform_lit(azimuth: Float[Array, "beam"], scene: Scene, sonar: Sonar, edges: Float[Array, "edge"]) -> Array:
     """Pixels (range, beam) whose middle lies on the floor or the platform; range `edges` (edge,) [m]."""
-    start, stop = patch_span(azimuth, scene, sonar)
+    start, stop = platform_span(azimuth, scene, sonar)
     middle = ((edges[1:] + edges[:-1]) / 2)[:, None]
     return (middle >= start[:, 0]) & (middle <= stop[:, 0])

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from sonarjax.data import Box, crops
-from sonarjax.segment import whole
+from sonarjax.segment import tiled
 from sonarjax.segment.generator import Generator
+from sonarjax.segment.tiled import box_around, pixels_inside, segment_frame
 from sonarjax.segment.weights import GeneratorWeights
-from sonarjax.segment.whole import box_around, pixels_inside, segment_frame
 
 NO_WEIGHTS = GeneratorWeights(None, Generator(1))
 TILES = 6  # of a frame of 512 × 96 pixels
@@ -20,11 +20,11 @@ def handing_on(monkeypatch):
     """A network whose answer is its image; the patches that it was given, one a call."""
     given = []
 
-    def through(weights, images):
+    def through(weights, images, engine):
         given.extend(np.asarray(images))
         return images
 
-    monkeypatch.setattr(whole, "segment_patch", through)
+    monkeypatch.setattr(tiled, "segment_patch", through)
     return given
 
 
@@ -41,8 +41,8 @@ def scene(shape=(512, 96)) -> np.ndarray:
 
 
 def test_margins_are_a_quarter_of_the_largest_of_training():
-    assert pytest.approx(crops.MARGIN[1] / 4) == whole.MARGIN
-    assert pytest.approx(crops.MARGIN_OF_FRAME[1] / 4) == whole.MARGIN_OF_FRAME
+    assert pytest.approx(crops.MARGIN[1] / 4) == tiled.MARGIN
+    assert pytest.approx(crops.MARGIN_OF_FRAME[1] / 4) == tiled.MARGIN_OF_FRAME
 
 
 @pytest.mark.parametrize(("shape", "tiles"), [((512, 96), TILES), ((256, 64), 1), ((100, 40), 1), ((700, 130), 20)])
@@ -58,7 +58,7 @@ def test_a_closer_look_is_at_the_object(handing_on):
     np.testing.assert_allclose(grey, image, atol=0.03)
     assert len(handing_on) == TILES + 2
     np.testing.assert_array_equal(handing_on[-1], handing_on[-2][:, ::-1])  # as it is, and mirrored
-    (box,) = whole._objects(image)
+    (box,) = tiled._objects(image)
     rows, columns = pixels_inside(box)
     seen = np.abs(image - 0.5) > 0.05
     assert seen[rows, columns].sum() == seen.sum()
@@ -67,10 +67,10 @@ def test_a_closer_look_is_at_the_object(handing_on):
 
 def test_two_objects_and_an_empty_frame(handing_on):
     image = np.full((512, 96), 0.5, np.float32)
-    assert whole._objects(image) == []
+    assert tiled._objects(image) == []
     image[100:120, 10:20] = image[350:370, 60:75] = 1.0
     image[250:252, 40:41] = 1.0  # too little to be an object
-    assert len(whole._objects(image)) == 2
+    assert len(tiled._objects(image)) == 2
     segment_frame(NO_WEIGHTS, image)
     assert len(handing_on) == TILES + 2 * 2
 
@@ -80,8 +80,8 @@ def test_what_was_not_measured_is_floor_to_the_network_and_background_after_it(h
     mask[:, :20] = False
     image[:, :20] = np.nan
     image[:, 20:] -= 0.2  # a darker floor
-    through, seen = whole._through_tiles, []
-    monkeypatch.setattr(whole, "_through_tiles", lambda *given: seen.append(given[1]) or through(*given))
+    through, seen = tiled._through_tiles, []
+    monkeypatch.setattr(tiled, "_through_tiles", lambda *given: seen.append(given[1]) or through(*given))
     grey = segment_frame(NO_WEIGHTS, image, mask, closer=False)
     assert (grey[:, :20] == 0.5).all()
     np.testing.assert_allclose(grey[:, 24:], image[:, 24:], atol=0.05)
@@ -94,7 +94,7 @@ def test_box_around_stays_in_the_frame_and_is_never_thin():
     assert box.top == 0 and box.left + box.columns == 96
     assert box.rows >= 20 and box.columns >= 6
     middle = box_around((200, 40, 201, 41), (512, 96))
-    assert middle.rows >= whole.LEAST[0] and middle.columns >= whole.LEAST[1]
+    assert middle.rows >= tiled.LEAST[0] and middle.columns >= tiled.LEAST[1]
 
 
 def test_pixels_inside_are_whole():

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 
-def computed_once(stage: Callable[..., Any], *slabs: Any) -> Any:
+def materialised(stage: Callable[..., Any], *slabs: Any) -> Any:
     """`stage(*slabs)` for arrays that all lead with the slab axis, one half of the slabs after the other.
 
     XLA fuses a cheap stage into each of its uses, and into gathers, where it is then computed many times over (twice

@@ -1,7 +1,7 @@
-"""From a slice's visible pieces to the ends of its highlights and shadows, and their ranges as differentiable numbers.
+"""From a slice's visible intervals to echo spans and occluded spans, whose ends are differentiable numbers.
 
-A *run* is a chain of visible pieces without a gap in range: its echo covers every range between its nearest and
-its farthest point. A *stretch* is a chain of pieces without a gap in elevation: it hides every floor point between
+An *echo span* is a chain of visible intervals without a gap in range: its echo covers every range between its nearest
+and its farthest point. An *occluded span* is a chain of intervals without a gap in elevation: it hides all floor between
 its ends. The chains are found without a gradient; `trace_ranges` then follows their ends through the vertices.
 """
 
@@ -14,7 +14,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from sonarjax.render.envelope import TOUCH, Pieces
 from sonarjax.render.segments import (
     CROSSING,
     EDGE,
@@ -28,17 +27,18 @@ from sonarjax.render.segments import (
     edge_point,
     plane_line,
 )
+from sonarjax.render.visibility import TOUCH, VisibleIntervals
 from sonarjax.scene.mesh import CREASE_ANGLE
 
-EMPTY_TAU = 1e-7  # a piece narrower than this is nothing
+EMPTY_TAU = 1e-7  # a interval narrower than this is nothing
 HORIZON = 1e-4  # least 1/planar range [1/m]: farther surfaces are put at 10 km
 MOST_ITEMS = 12
 SMOOTH_COSINE = math.cos(CREASE_ANGLE)  # a sharper bend is an edge of the body
-GAP = 1e-4  # relative step in range that ends a run: ten times float32's error, far below any sonar's resolution
+GAP = 1e-4  # relative step in range that ends a echo span: ten times float32's error, far below any sonar's resolution
 
 
 class Ends(NamedTuple):
-    """Ends of runs or stretches (slab, item), as what makes them."""
+    """Ends of echo spans or occluded spans (slab, item), as what makes them."""
 
     surface: Int[Array, "slab item"]
     """Triangle whose plane gives the range, -1 for no item."""
@@ -50,62 +50,62 @@ class Ends(NamedTuple):
     """Edge of the source triangle, where kind is EDGE."""
     tau: Float[Array, "slab item"]
     """Elevation tangent in the middle of the slab."""
-    foot: Bool[Array, "slab item"]
-    """True where the nearest point is the foot of the perpendicular, not an end."""
+    at_perpendicular: Bool[Array, "slab item"]
+    """True where the nearest point is the perpendicular of the perpendicular, not an end."""
 
 
-class Outline(NamedTuple):
+class Spans(NamedTuple):
     """All that a slab shows. One array holds all ends, so that one pass follows them through the vertices."""
 
     ends: Ends
-    """Ends (slab, 2 run + 2 stretch): runs' nearest points, their farthest, stretches' lower ends, their upper ends."""
-    runs: Bool[Array, "slab run"]
-    """Which runs exist."""
-    stretches: Bool[Array, "slab stretch"]
-    """Which stretches exist."""
-    angle: Float[Array, "slab run"]
-    """Elevation [rad] that each run fills, without a gradient: its share of the energy sent out."""
+    """All ends (slab, end): echo spans' nearest and farthest points, occluded spans' lower ends and upper ends."""
+    echo_spans: Bool[Array, "slab echo_span"]
+    """Which echo spans exist."""
+    occluded_spans: Bool[Array, "slab occluded_span"]
+    """Which occluded spans exist."""
+    angle: Float[Array, "slab echo_span"]
+    """Elevation [rad] that each echo span fills, without a gradient: its share of the energy sent out."""
 
     @property
     def on_object(self) -> Bool[Array, "end"]:
-        """Which ends (2 run + 2 stretch,) lie on the object; those of stretches lie on the floor behind it."""
-        return jnp.arange(self.ends.tau.shape[1]) < 2 * self.runs.shape[1]
+        """Which ends (end,) lie on the object: those of echo spans. Those of occluded spans lie on the floor."""
+        return jnp.arange(self.ends.tau.shape[1]) < 2 * self.echo_spans.shape[1]
 
 
 def max_items(crossings: int, by_facet: bool = False) -> tuple[int, int]:
-    """How many runs, and how many stretches, a slice keeps; further ones are joined to the last.
+    """How many echo spans, and how many occluded spans, a slice keeps; further ones are joined to the last.
 
-    A run shows at least a triangle or two, a body that stands alone more; `by_facet` one is enough.
+    A echo span shows at least a triangle or two, a body that stands alone more; `by_facet` one is enough.
     """
-    runs = crossings if by_facet else crossings // 3
-    return max(2, min(runs, MOST_ITEMS)), max(2, min(crossings // 4, MOST_ITEMS))
+    echo_spans = crossings if by_facet else crossings // 3
+    return max(2, min(echo_spans, MOST_ITEMS)), max(2, min(crossings // 4, MOST_ITEMS))
 
 
-def piece_range(line: Float[Array, "*#batch 2"], tau: Float[Array, "*#batch"]) -> Float[Array, "*batch"]:
+def interval_range(line: Float[Array, "*#batch 2"], tau: Float[Array, "*#batch"]) -> Float[Array, "*batch"]:
     """Slant range [m] at elevation tangent `tau` on the line (a, b) [1/m] (eq. 1 in slice coordinates)."""
     s = line[..., 0] + line[..., 1] * tau
     return jnp.sqrt(1 + tau * tau) / jnp.maximum(s, HORIZON)
 
 
-def find_outline(
-    pieces: Pieces,
+def find_spans(
+    intervals: VisibleIntervals,
     segments: Segments,
     table: Int[Array, "slab candidate"],
-    lit: Bool[Array, "slab piece"],
+    lit: Bool[Array, "slab interval"],
     items: tuple[int, int],
     sampled: bool,
     by_facet: Bool[Array, ""] | bool = False,
-) -> Outline:
-    """Chains of visible pieces; `table` holds the candidates' triangle ids, `lit` the pieces that give highlight.
+) -> Spans:
+    """Chains of visible intervals; `table` holds the candidates' triangle ids, `lit` the intervals that give highlight.
 
-    Runs also end where the surface bends sharply if they are `by_facet`: each then is about equally bright.
+    Echo spans also end where the surface bends sharply if they are `by_facet`: each then is about equally bright.
 
-    Between neighbouring pieces of a `sampled` profile others were passed over: a step in range that the two pieces'
-    own slopes explain is then no gap.
+    Between neighbouring intervals of a `sampled` profile others were passed over: a step in range that the slopes of
+    the two explain is then no gap.
     """
-    solid = pieces.winner >= 0
-    line = _of_candidate(segments.line, pieces.winner)
-    start, end = (piece_range(line, pieces.tau[..., k]) for k in (0, 1))
+    solid = intervals.winner >= 0
+    line = _of_candidate(segments.line, intervals.winner)
+    start, end = (interval_range(line, intervals.tau[..., k]) for k in (0, 1))
     slope = jnp.abs(end - start) if sampled else jnp.zeros_like(start)
     same_range = jnp.abs(_previous(end) - start) < GAP * start + jnp.maximum(slope, _previous(slope))
     shown = solid & lit
@@ -114,61 +114,64 @@ def find_outline(
         normal = _normal(line)
         before = jnp.pad(normal[:, :-1], ((0, 0), (1, 0), (0, 0)))
         goes_on &= ((normal * before).sum(-1) > SMOOTH_COSINE) | ~jnp.asarray(by_facet)
-    run = _chain(shown, shown & ~goes_on, items[0])
-    stretch = _chain(solid, solid & ~_previous(solid), items[1])
-    foot_tau = line[..., 1] / jnp.maximum(line[..., 0], 1e-9)
-    foot = (foot_tau > pieces.tau[..., 0]) & (foot_tau < pieces.tau[..., 1])
-    foot_range = jnp.where(foot, jax.lax.rsqrt((line**2).sum(-1) + 1e-12), jnp.inf)
-    nearest = jnp.minimum(jnp.minimum(start, end), foot_range)
+    echo_span = _chain(shown, shown & ~goes_on, items[0])
+    occluded_span = _chain(solid, solid & ~_previous(solid), items[1])
+    perpendicular_tau = line[..., 1] / jnp.maximum(line[..., 0], 1e-9)
+    at_perpendicular = (perpendicular_tau > intervals.tau[..., 0]) & (perpendicular_tau < intervals.tau[..., 1])
+    perpendicular_range = jnp.where(at_perpendicular, jax.lax.rsqrt((line**2).sum(-1) + 1e-12), jnp.inf)
+    nearest = jnp.minimum(jnp.minimum(start, end), perpendicular_range)
     number = jnp.arange(solid.shape[1])
-    near, far = _extreme(nearest, run, -1), _extreme(jnp.maximum(start, end), run, 1)
-    lower = jnp.where(stretch, number[:, None], len(number) - 1).min(axis=1)
-    upper = jnp.where(stretch, number[:, None], 0).max(axis=1)
+    near, far = _extreme(nearest, echo_span, -1), _extreme(jnp.maximum(start, end), echo_span, 1)
+    lower = jnp.where(occluded_span, number[:, None], len(number) - 1).min(axis=1)
+    upper = jnp.where(occluded_span, number[:, None], 0).max(axis=1)
     at_end = jnp.take_along_axis(end - start, jnp.concatenate([near, far], axis=1), axis=1)
-    at_foot = jnp.take_along_axis(foot_range < jnp.minimum(start, end), near, axis=1)
+    nearest_at_perpendicular = jnp.take_along_axis(perpendicular_range < jnp.minimum(start, end), near, axis=1)
     upper_end = jnp.concatenate([at_end[:, : items[0]] < 0, at_end[:, items[0] :] > 0], axis=1)
-    runs, stretches = run.any(axis=1), stretch.any(axis=1)
-    no, never = jnp.zeros_like(stretches), jnp.zeros_like(jnp.concatenate([runs, stretches, stretches], axis=1))
-    return Outline(
+    echo_spans, occluded_spans = echo_span.any(axis=1), occluded_span.any(axis=1)
+    no, never = (
+        jnp.zeros_like(occluded_spans),
+        jnp.zeros_like(jnp.concatenate([echo_spans, occluded_spans, occluded_spans], axis=1)),
+    )
+    return Spans(
         _ends(
-            pieces,
+            intervals,
             segments,
             table,
-            piece=jnp.concatenate([near, far, lower, upper], axis=1),
+            interval=jnp.concatenate([near, far, lower, upper], axis=1),
             upper_end=jnp.concatenate([upper_end, no, ~no], axis=1),
-            exists=jnp.concatenate([runs, runs, stretches, stretches], axis=1),
-            foot=jnp.concatenate([at_foot, never], axis=1),
+            exists=jnp.concatenate([echo_spans, echo_spans, occluded_spans, occluded_spans], axis=1),
+            at_perpendicular=jnp.concatenate([nearest_at_perpendicular, never], axis=1),
         ),
-        runs,
-        stretches,
-        jnp.where(run, jnp.diff(jnp.arctan(pieces.tau), axis=-1), 0.0).sum(axis=1),
+        echo_spans,
+        occluded_spans,
+        jnp.where(echo_span, jnp.diff(jnp.arctan(intervals.tau), axis=-1), 0.0).sum(axis=1),
     )
 
 
-def _of_candidate(values: Float[Array, "slab candidate 2"], index: Int[Array, "slab piece"]) -> Array:
+def _of_candidate(values: Float[Array, "slab candidate 2"], index: Int[Array, "slab interval"]) -> Array:
     return jnp.take_along_axis(values, jnp.maximum(index, 0)[..., None], axis=1)
 
 
-def _normal(line: Float[Array, "slab piece 2"]) -> Float[Array, "slab piece 2"]:
+def _normal(line: Float[Array, "slab interval 2"]) -> Float[Array, "slab interval 2"]:
     """Unit normals of surfaces as they are cut by a slice, from their lines (a, b)."""
     return line / jnp.sqrt((line**2).sum(-1, keepdims=True) + 1e-24)
 
 
 def _previous(values: Array) -> Array:
-    """Each piece's lower neighbour's value (slab, piece); zero or False for the first."""
+    """Each interval's lower neighbour's value (slab, interval); zero or False for the first."""
     return jnp.pad(values[:, :-1], ((0, 0), (1, 0)))
 
 
-def _chain(member: Bool[Array, "slab piece"], starts: Bool[Array, "slab piece"], items: int) -> Array:
-    """Membership (slab, piece, item) of pieces in chains, numbered from the lowest elevation."""
+def _chain(member: Bool[Array, "slab interval"], starts: Bool[Array, "slab interval"], items: int) -> Array:
+    """Membership (slab, interval, item) of intervals in chains, numbered from the lowest elevation."""
     number = jnp.minimum(jnp.cumsum(starts, axis=1) - 1, items - 1)
     return member[..., None] & (number[..., None] == jnp.arange(items))
 
 
-def _extreme(value: Float[Array, "slab piece"], chain: Bool[Array, "slab piece item"], sign: int) -> Array:
+def _extreme(value: Float[Array, "slab interval"], chain: Bool[Array, "slab interval item"], sign: int) -> Array:
     """Piece (slab, item) with the least (sign -1) or largest (sign 1) value in its chain.
 
-    One integer reduction: positive floats sort like their bits, whose lowest ones make room for the piece's number.
+    One integer reduction: positive floats sort like their bits, whose lowest ones make room for the interval's number.
     """
     bits = (value.shape[1] - 1).bit_length()
     key = ((value.astype(jnp.float32).view(jnp.int32) >> bits) << bits) | jnp.arange(value.shape[1])
@@ -176,56 +179,66 @@ def _extreme(value: Float[Array, "slab piece"], chain: Bool[Array, "slab piece i
         best = jnp.where(chain, key[..., None], 0).max(axis=1)
     else:
         best = jnp.where(chain, key[..., None], jnp.iinfo(jnp.int32).max).min(axis=1)
-    # An empty chain has no piece: any index inside the array will do, where one outside would read NaN.
+    # An empty chain has no interval: any index inside the array will do, where one outside would read NaN.
     return jnp.minimum(best & ((1 << bits) - 1), value.shape[1] - 1)
 
 
 def _ends(
-    pieces: Pieces, segments: Segments, table: Array, piece: Array, upper_end: Array, exists: Array, foot: Array
+    intervals: VisibleIntervals,
+    segments: Segments,
+    table: Array,
+    interval: Array,
+    upper_end: Array,
+    exists: Array,
+    at_perpendicular: Array,
 ) -> Ends:
     def take(values: Array, index: Array) -> Array:
-        return jnp.take_along_axis(values.reshape(len(piece), -1), index, axis=1)
+        return jnp.take_along_axis(values.reshape(len(interval), -1), index, axis=1)
 
-    side = 2 * piece + upper_end
-    end, how, tau = take(pieces.end, side), take(pieces.how, side), take(pieces.tau, side)
+    side = 2 * interval + upper_end
+    end, how, tau = take(intervals.end, side), take(intervals.how, side), take(intervals.tau, side)
     end = jnp.maximum(end, 0)
-    surface = take(table, jnp.maximum(take(pieces.winner, piece), 0))
+    surface = take(table, jnp.maximum(take(intervals.winner, interval), 0))
     kind = jnp.where(how == EDGE, take(segments.kind, end), how)
-    return Ends(jnp.where(exists, surface, -1), take(table, end // 2), kind, take(segments.edge, end), tau, foot)
+    return Ends(
+        jnp.where(exists, surface, -1), take(table, end // 2), kind, take(segments.edge, end), tau, at_perpendicular
+    )
 
 
-def all_ends(pieces: Pieces, segments: Segments, table: Int[Array, "slab candidate"]) -> Ends:
-    """The ends (slab, 2 × piece) of every visible piece, all lower ones first, for the energy integral.
+def all_ends(intervals: VisibleIntervals, segments: Segments, table: Int[Array, "slab candidate"]) -> Ends:
+    """The ends (slab, 2 × interval) of every visible interval, all lower ones first, for the energy integral.
 
     Where a surface goes on smoothly across an edge of its tessellation, the end stays at its elevation: both sides
     show the same ranges there, and such an edge may sweep over the whole surface within one slab.
     """
-    piece = jnp.broadcast_to(jnp.arange(pieces.winner.shape[1]), pieces.winner.shape)
-    solid = (pieces.winner >= 0) & (pieces.tau[..., 1] - pieces.tau[..., 0] > EMPTY_TAU)
-    upper = jnp.repeat(jnp.array([False, True]), piece.shape[1]) & jnp.ones((len(piece), 1), bool)
-    piece, solid = jnp.tile(piece, 2), jnp.tile(solid, 2)
-    ends = _ends(pieces, segments, table, piece, upper, solid, jnp.zeros_like(upper))
-    smooth = jnp.concatenate(_smooth_sides(pieces, segments), axis=1)
+    interval = jnp.broadcast_to(jnp.arange(intervals.winner.shape[1]), intervals.winner.shape)
+    solid = (intervals.winner >= 0) & (intervals.tau[..., 1] - intervals.tau[..., 0] > EMPTY_TAU)
+    upper = jnp.repeat(jnp.array([False, True]), interval.shape[1]) & jnp.ones((len(interval), 1), bool)
+    interval, solid = jnp.tile(interval, 2), jnp.tile(solid, 2)
+    ends = _ends(intervals, segments, table, interval, upper, solid, jnp.zeros_like(upper))
+    smooth = jnp.concatenate(_smooth_sides(intervals, segments), axis=1)
     return ends._replace(kind=jnp.where(smooth, FIXED, ends.kind))
 
 
-def _smooth_sides(pieces: Pieces, segments: Segments) -> tuple[Bool[Array, "slab piece"], Bool[Array, "slab piece"]]:
-    """Whether each piece's surface goes on smoothly below it, and above: no step in range, no edge of the body.
+def _smooth_sides(
+    intervals: VisibleIntervals, segments: Segments
+) -> tuple[Bool[Array, "slab interval"], Bool[Array, "slab interval"]]:
+    """Whether each interval's surface goes on smoothly below it, and above: no step in range, no edge of the body.
 
-    Pieces between segments that touch are passed over: which of the two surfaces they show is chance.
+    Intervals between segments that touch are passed over: which of the two surfaces they show is chance.
     """
-    count = pieces.winner.shape[1]
-    number = jnp.where(pieces.tau[..., 1] - pieces.tau[..., 0] > TOUCH, jnp.arange(count), -1)
+    count = intervals.winner.shape[1]
+    number = jnp.where(intervals.tau[..., 1] - intervals.tau[..., 0] > TOUCH, jnp.arange(count), -1)
     before = _previous(jax.lax.cummax(number, axis=1) + 1) - 1  # -1 for none
     after = jax.lax.cummin(jnp.where(number < 0, count, number), axis=1, reverse=True)
     after = jnp.pad(after[:, 1:], ((0, 0), (0, 1)), constant_values=count)
-    line = _of_candidate(segments.line, pieces.winner)
-    start, end = (piece_range(line, pieces.tau[..., k]) for k in (0, 1))
+    line = _of_candidate(segments.line, intervals.winner)
+    start, end = (interval_range(line, intervals.tau[..., k]) for k in (0, 1))
     normal = _normal(line)
     place = jnp.maximum(before, 0)
     straight = (normal * jnp.take_along_axis(normal, place[..., None], axis=1)).sum(-1) > SMOOTH_COSINE
     near = jnp.abs(jnp.take_along_axis(end, place, axis=1) - start) < GAP * start
-    solid = pieces.winner >= 0
+    solid = intervals.winner >= 0
     below = solid & (before >= 0) & jnp.take_along_axis(solid, place, axis=1) & straight & near
     above = solid & (after < count) & jnp.take_along_axis(below, jnp.minimum(after, count - 1), axis=1)
     return below, above
@@ -282,17 +295,17 @@ def _corner(corners: Float[Array, "*batch 3 3"], index: Int[Array, "*batch"]) ->
     return jnp.where(i == 0, corners[..., 0, :], jnp.where(i == 1, corners[..., 1, :], corners[..., 2, :]))
 
 
-def trace_ranges(outline: Outline, azimuth: Float[Array, "slab"], scene: Scene) -> Float[Array, "slab end"]:
-    """Slant ranges [m] of an outline's ends at `azimuth` [rad]: runs' near and far points, floor behind stretches.
+def trace_ranges(spans: Spans, azimuth: Float[Array, "slab"], scene: Scene) -> Float[Array, "slab end"]:
+    """Slant ranges [m] of all ends at `azimuth` [rad]: echo spans' near and far points, floor behind occluded spans.
 
     The floor at and above the horizon is very far. Differentiable in `azimuth` too, at the middle of the slabs.
     """
     theta = azimuth[:, None]
-    ends = outline.ends
+    ends = spans.ends
     corners = corners_of(scene, ends.surface)
     surface = plane_line(corners, theta)
     tau, edge_range = trace_tau(ends, theta, scene, surface)
-    on_object = outline.on_object
+    on_object = spans.on_object
     line = [jnp.where(on_object, o, f) for o, f in zip(surface, floor_line(theta, scene.view), strict=True)]
     # No point of a triangle is nearer than its nearest corner or farther than its farthest, as seen along the slice;
     # the plane of a facet seen edge-on is, as soon as it is followed to another azimuth.
@@ -300,17 +313,17 @@ def trace_ranges(outline: Outline, azimuth: Float[Array, "slab"], scene: Scene) 
     nearest, farthest = jnp.maximum(reach.min(-1), NEAR_M), jnp.maximum(reach.max(-1), NEAR_M)
     s = line[0] + line[1] * tau
     s = jnp.where(on_object, jnp.clip(s, 1 / farthest, 1 / nearest), jnp.maximum(s, HORIZON))
-    foot = jnp.maximum(jax.lax.rsqrt(surface[0] ** 2 + surface[1] ** 2 + 1e-12), nearest)
-    ranges = jnp.where(ends.foot, foot, jnp.sqrt(1 + tau * tau) / s)
+    at_perpendicular = jnp.maximum(jax.lax.rsqrt(surface[0] ** 2 + surface[1] ** 2 + 1e-12), nearest)
+    ranges = jnp.where(ends.at_perpendicular, at_perpendicular, jnp.sqrt(1 + tau * tau) / s)
     # Where a facet ends at its own edge that edge's range is exact, and stays so for one that is seen edge-on.
-    own = on_object & (ends.kind == EDGE) & (ends.source == ends.surface) & ~ends.foot
+    own = on_object & (ends.kind == EDGE) & (ends.source == ends.surface) & ~ends.at_perpendicular
     return jnp.where(own, edge_range, ranges)
 
 
-def facet_width(outline: Outline, azimuth: Float[Array, "slab"], scene: Scene) -> Float[Array, "slab end"]:
+def facet_width(spans: Spans, azimuth: Float[Array, "slab"], scene: Scene) -> Float[Array, "slab end"]:
     """Azimuth [rad] over which each end can be followed: the lesser width of its edge and its surface, seen from above.
 
-    Only ends on the object have a surface of their own; those of stretches lie on the floor.
+    Only ends on the object have a surface of their own; those of occluded spans lie on the floor.
     """
     c, s = jnp.cos(azimuth)[:, None, None], jnp.sin(azimuth)[:, None, None]
 
@@ -319,26 +332,29 @@ def facet_width(outline: Outline, azimuth: Float[Array, "slab"], scene: Scene) -
         aside = (c * points[..., 1] - s * points[..., 0]) / ahead
         return aside.max(-1) - aside.min(-1)
 
-    ends = outline.ends
+    ends = spans.ends
     corners = corners_of(scene, ends.source)
     edge = jnp.stack([_corner(corners, ends.edge), _corner(corners, (ends.edge + 1) % 3)], axis=-2)
     surface = around(corners_of(scene, ends.surface))
-    width = jnp.where(outline.on_object, surface, jnp.inf)
+    width = jnp.where(spans.on_object, surface, jnp.inf)
     return jnp.where(ends.kind == EDGE, jnp.minimum(width, around(edge)), width)
 
 
 def incidence_cosine(
-    pieces: Pieces, segments: Segments, corners: Float[Array, "slab candidate 3 3"], azimuth: Float[Array, "slab"]
-) -> Float[Array, "slab piece"]:
-    """Cosine of the angle between the ray to the middle of each piece and its facet's normal."""
+    intervals: VisibleIntervals,
+    segments: Segments,
+    corners: Float[Array, "slab candidate 3 3"],
+    azimuth: Float[Array, "slab"],
+) -> Float[Array, "slab interval"]:
+    """Cosine of the angle between the ray to the middle of each interval and its facet's normal."""
     normal = jnp.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0])
     normal = normal / (jnp.sqrt((normal**2).sum(-1, keepdims=True)) + 1e-20)
-    n = jnp.take_along_axis(normal, jnp.maximum(pieces.winner, 0)[..., None], axis=1)
-    tau = pieces.tau.mean(-1)
+    n = jnp.take_along_axis(normal, jnp.maximum(intervals.winner, 0)[..., None], axis=1)
+    tau = intervals.tau.mean(-1)
     along = n[..., 0] * jnp.cos(azimuth)[:, None] + n[..., 1] * jnp.sin(azimuth)[:, None] + n[..., 2] * tau
     return jnp.abs(along) / jnp.sqrt(1 + tau * tau)
 
 
-def lit_pieces(cosine: Float[Array, "slab piece"], max_incidence_deg: float) -> Bool[Array, "slab piece"]:
-    """Pieces that give highlight: struck no more obliquely than `max_incidence_deg` [deg] from their normal."""
+def lit_intervals(cosine: Float[Array, "slab interval"], max_incidence_deg: float) -> Bool[Array, "slab interval"]:
+    """Intervals that give highlight: struck no more obliquely than `max_incidence_deg` [deg] from their normal."""
     return cosine >= math.cos(math.radians(max_incidence_deg))

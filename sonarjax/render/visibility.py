@@ -1,6 +1,6 @@
-"""Exact visibility in one slice: the upper envelope of line segments, as an ordered list of visible pieces.
+"""Exact visibility in one slice: the upper envelope of line segments, as an ordered list of visible intervals.
 
-Nothing here carries a gradient. Each end of a piece is recorded as what makes it (a mesh edge, a crossing of two
+Nothing here carries a gradient. Each end of a interval is recorded as what makes it (a mesh edge, a crossing of two
 planes, the aperture, the floor), and `profile.py` finds it again from the vertices, differentiably.
 """
 
@@ -21,21 +21,21 @@ BEND = 1e-4  # least such distance, as a share of 1/range, of lines that are tol
 EXACT_LIMIT = 32  # above this many candidates a slice is sampled in elevation instead
 
 
-class Pieces(NamedTuple):
+class VisibleIntervals(NamedTuple):
     """Stretches of elevation with one nearest triangle each, in ascending elevation; `-1` where nothing is hit."""
 
-    winner: Int[Array, "slab piece"]
+    winner: Int[Array, "slab interval"]
     """Candidate that is nearest, or -1."""
-    tau: Float[Array, "slab piece 2"]
+    tau: Float[Array, "slab interval 2"]
     """Elevation tangents of both ends."""
-    end: Int[Array, "slab piece 2"]
+    end: Int[Array, "slab interval 2"]
     """What makes each end: 2 × candidate + side (0 lower, 1 upper end of its segment)."""
-    how: Int[Array, "slab piece 2"]
+    how: Int[Array, "slab interval 2"]
     """EDGE where the candidate's segment ends there, CROSSING where the two surfaces cross, FIXED for neither."""
 
 
-def visible_pieces(segments: Segments, crossing: bool, elevations: int) -> Pieces:
-    """Visible pieces of each slice from its candidates' segments (slab, candidate), which may be `crossing` each other.
+def visible_intervals(segments: Segments, crossing: bool, elevations: int) -> VisibleIntervals:
+    """Visible intervals of each slice from its candidates' segments (slab, candidate), which may be `crossing`.
 
     Exact for up to EXACT_LIMIT candidates a slice (then `elevations` plays no part); else the nearest triangle is
     sampled at `elevations` directions that span the slice's object.
@@ -87,14 +87,14 @@ def _intervals(segments: Segments) -> tuple[Array, Array, Array]:
     return order, bound[:, :-1], bound[:, 1:]
 
 
-def _exact(segments: Segments) -> Pieces:
+def _exact(segments: Segments) -> VisibleIntervals:
     order, low, high = _intervals(segments)
     how = jnp.full((*low.shape, 2), EDGE)
     winner = _nearest(segments, (low + high) / 2)
-    return Pieces(winner, jnp.stack([low, high], -1), jnp.stack([order[:, :-1], order[:, 1:]], -1), how)
+    return VisibleIntervals(winner, jnp.stack([low, high], -1), jnp.stack([order[:, :-1], order[:, 1:]], -1), how)
 
 
-def _exact_crossing(segments: Segments) -> Pieces:
+def _exact_crossing(segments: Segments) -> VisibleIntervals:
     """As `_exact`, but two surfaces may change places between two ends: each interval has two halves."""
     order, low, high = _intervals(segments)
     inset = INSET * (high - low)
@@ -109,7 +109,7 @@ def _exact_crossing(segments: Segments) -> Pieces:
         halves = jnp.stack([jnp.stack(first, axis=-1), jnp.stack(second, axis=-1)], axis=2)
         return halves.reshape(len(low), -1, 2)
 
-    return Pieces(
+    return VisibleIntervals(
         winner=jnp.stack([lower, upper], axis=2).reshape(len(low), -1),
         tau=interleave((low, crossing), (crossing, high)),
         end=interleave(
@@ -137,7 +137,7 @@ def _crossing_tau(segments: Segments, i: Array, j: Array, low: Array, high: Arra
     return jnp.where(differs, jnp.clip(tau, low, high), high)
 
 
-def _sampled(segments: Segments, elevations: int) -> Pieces:
+def _sampled(segments: Segments, elevations: int) -> VisibleIntervals:
     low = jnp.where(segments.hit, segments.tau[..., 0], jnp.inf).min(axis=1)[:, None]
     high = jnp.where(segments.hit, segments.tau[..., 1], -jnp.inf).max(axis=1)[:, None]
     any_hit = jnp.isfinite(low)
@@ -151,11 +151,11 @@ def _sampled(segments: Segments, elevations: int) -> Pieces:
     edge = jnp.full(first.shape, EDGE)
 
     def per_piece(lowest: Array, starts: Array, ends: Array, highest: Array) -> Array:
-        """Values of each piece's lower and upper end (slab, elevation, 2)."""
+        """Values of each interval's lower and upper end (slab, elevation, 2)."""
         lower, upper = jnp.concatenate([lowest, starts], axis=1), jnp.concatenate([ends, highest], axis=1)
         return jnp.stack([lower, upper], axis=-1)
 
-    return Pieces(
+    return VisibleIntervals(
         winner,
         tau=per_piece(_end(segments, first, 0), tau, tau, _end(segments, last, 1)),
         end=per_piece(2 * first, starts, ends, 2 * last + 1),
@@ -174,7 +174,7 @@ def _end(segments: Segments, index: Array, side: int) -> Array:
 def _boundaries(segments: Segments, node: Array, winner: Array) -> tuple[Array, Array, Array, Array]:
     """Where one winner hands over to the next, between neighbouring nodes.
 
-    Returns its elevation tangent, what ends the piece below it, what starts the piece above it, and how, each (slab,
+    Returns its elevation tangent, what ends the interval below it, what starts the one above it, and how, each (slab,
     elevation - 1). Candidates between the nodes may be passed over, so the end of a winner's own segment need not be
     where its surface ends. Where such an end lies on the other winner's line the two do meet there. Else they meet
     where their lines cross, if that is between the nodes. Else one hides the other, and the end of the one in front
