@@ -2,10 +2,10 @@
 
 python -m experiments.bench_train [--preset smoke] [--help]
 
-Each side runs in processes of its own, which keep their memory (see `cpu.keep_memory`), in turn with the other and on all
-cores; of several rounds the fastest step counts, since other programs only ever slow one down. Where they never
-rest, --one-core gives each side one core and counts the processor's time that it takes. PyTorch is in none of the
-project's extras; --no-peer times ours alone. The last line says how fast training pairs are made.
+Each side runs in processes of its own, which keep their memory (see `cpu.keep_memory`), in turn with the other
+and on all cores; of several rounds the fastest step counts, since other programs only ever slow one down. Where they
+never rest, --one-core gives each side one core and counts the processor's time that it takes. PyTorch is the extra
+`peers`; --no-peer times ours alone. The last line says how fast training pairs are made.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """From a slice's visible intervals to echo spans and occluded spans, whose ends are differentiable numbers.
 
 An *echo span* is a chain of visible intervals without a gap in range: its echo covers every range between its nearest
-and its farthest point. An *occluded span* is a chain of intervals without a gap in elevation: it hides all floor between
-its ends. The chains are found without a gradient; `trace_ranges` then follows their ends through the vertices.
+and its farthest point. An *occluded span* is a chain of intervals without a gap in elevation: it hides all floor
+between its ends. The chains are found without a gradient; `trace_ranges` then follows their ends through the vertices.
 """
 
 from __future__ import annotations
