@@ -143,6 +143,8 @@ class Recognizer:
         Raises SonarjaxError for no target, an unknown segmenter, when no distance is in view or too many are, or a mesh
         is larger than the sonar sees far.
         """
+        if refine is not None and not isinstance(refine, RefineConfig):
+            raise SonarjaxError(f"refine: expected a RefineConfig, or None for no refinement, got {refine!r}")
         named = _named(targets)
         self.sonar, self.search, self.engine = sonar, search, engine
         self.targets = {name: TargetSearch(m, sonar, search, name=name, engine=engine) for name, m in named.items()}

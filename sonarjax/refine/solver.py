@@ -25,6 +25,9 @@ SETTLED_SHARE = 0.02
 POLISHED_SHARE = 1e-4
 """As `SETTLED_SHARE`, where the last blur is polished."""
 
+STATIONARY_SHARE = 2.5e-3
+"""As `SETTLED_SHARE`: a solution with no larger step to go counts as stationary, and may have a derivative."""
+
 
 class Search(NamedTuple):
     """How one problem is searched: numbers only (of NumPy, or traced), so that all searches share compiled code."""

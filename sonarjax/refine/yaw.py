@@ -17,7 +17,7 @@ from sonarjax.records import record
 from sonarjax.refine.config import RefineConfig
 from sonarjax.refine.implicit import attach, hessian, is_minimum, without_gradient
 from sonarjax.refine.objective import Problem, crop_score, make_blur, normalised
-from sonarjax.refine.solver import POLISHED_SHARE, SETTLED_SHARE, TRUST, Found, Search, coarse_to_fine
+from sonarjax.refine.solver import SETTLED_SHARE, STATIONARY_SHARE, TRUST, Found, Search, coarse_to_fine
 from sonarjax.refine.template import BOUNCE_BOUNDS, VIEWS, Subject, pose_at
 from sonarjax.render import RenderQuality, WindowSize, place_window, plan_window
 from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS
@@ -194,7 +194,7 @@ def _refine(
         blur = make_blur(size.shape, search.blurs[-1])
         free = inside & (search.bounds[1] > 0) & (step > search.bounds[0])
         curvature = hessian(without_gradient(fitted), blur, step)
-        settled = converged & (left[:3].max() < 4 * POLISHED_SHARE)
+        settled = converged & (left[:3].max() < STATIONARY_SHARE)
         determined = settled & is_minimum(curvature, free)
         step = attach(step, fitted, blur, curvature, free, determined)
     pose = pose_at(without_gradient(start), step)
