@@ -80,7 +80,7 @@ def test_central_differences_of_a_parabola_are_its_derivative():
 def test_derivatives_are_judged_blur_by_blur(rng):
     truth = rng.normal(size=(2, 9, len(yaw_landscape.CONFIG.blurs)))
     ours = truth * np.array([1.0, 1.1, -1.0])
-    rows = yaw_landscape.judged(ours, truth, ours)
+    rows = yaw_landscape.summary_of(ours, truth, ours)
     assert [row["error"] for row in rows] == pytest.approx([0.0, 0.1, 2.0])
     assert [row["sign"] for row in rows] == [1.0, 1.0, 0.0]
     assert [row["own_error"] for row in rows] == [0.0, 0.0, 0.0]
