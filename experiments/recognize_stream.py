@@ -158,7 +158,7 @@ def _record(finder: Finder, label: str, frame: Any, seen: set[bool]) -> dict[str
         message = " ".join(str(error).split())
         tqdm.write(f"recognize_stream: {message if label in message else f'{label}: {message}'}", file=sys.stderr)
         return {"frame": label, "error": message, "schema": SCHEMA}
-    # The first recognized and the first tracked frame compile: `warm` is what speed is summary_of by.
+    # The first recognized and the first tracked frame compile: `warm` is what speed is judged by.
     warm = tracked in seen
     seen.add(tracked)
     more = {"tracked": tracked, "warm": warm, "time_s": seconds_of(frame.meta)}

@@ -58,7 +58,7 @@ def recognize_all(
 ) -> Found:
     """Recognize the target (or `mesh`) in each frame, with the sonar that `sonar_of` gives for its tilt [deg].
 
-    `segmenter` is one of `common.segmenters`. Yaw is summary_of on the target alone: other frames are not refined.
+    `segmenter` is one of `common.segmenters`. Yaw is judged on the target alone: other frames are not refined.
     """
     sought, limit = target() if mesh is None else mesh, threshold_of(segmenter)  # first: a wrong name is told at once
     recognizer_of, results, seconds = recognizers(sought, sonar_of=sonar_of), [], []

@@ -1,4 +1,4 @@
-"""Running a stage of the renderer so that its results are computed once."""
+"""Running a part of the renderer so that its results are written to memory once."""
 
 from __future__ import annotations
 
