@@ -16,6 +16,7 @@ from __future__ import annotations
 import csv
 import itertools
 import math
+import os
 import time
 from dataclasses import dataclass
 from functools import partial
@@ -76,8 +77,8 @@ SUMMARY = {
 class Settings:
     """What is run."""
 
-    data: str = "../shared/real/pipe"
-    """Folder with sonar.toml, pipe.stl, truth.csv and frames/."""
+    data: str = ""
+    """Folder with sonar.toml, pipe.stl, truth.csv and frames/; empty for `pipe` in that of SONARJAX_REAL_DATA."""
     frames: int = 0
     """Number of frames, evenly spread over the turn; 0 for all."""
     incidence: float = 60.0
@@ -149,10 +150,10 @@ class Found:
 
 def load(settings: Settings) -> Data:
     """Frames, masks, truth, sonar and mesh. Raises Skipped naming what is missing."""
-    folder = Path(settings.data)
+    folder = Path(settings.data or Path(os.environ.get("SONARJAX_REAL_DATA", "")) / "pipe")
     for needed in ("sonar.toml", "pipe.stl", "truth.csv", "frames"):
         if not (folder / needed).exists():
-            raise Skipped(f"{folder / needed} is missing: --data must be the folder of the real frames")
+            raise Skipped(f"{folder / needed} is missing: --data or SONARJAX_REAL_DATA must name the real frames")
     with open(folder / "truth.csv", newline="") as file:
         rows = [(row["frame"], math.radians(float(row["pseudo_yaw_deg"]))) for row in csv.DictReader(file)]
     if settings.frames > 0:

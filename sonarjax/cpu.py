@@ -32,12 +32,14 @@ from sonarjax.render.bank import BankViews
 MIN_COMPILE_SECONDS = 0.2
 """Least time to compile [s] of what is kept on disk: below it, reading a file back gains nothing."""
 # The emitters of XLA's older CPU compiler take half the time for the renderer, and what they make is no slower. Newer
-# compilers know the flag no more, and end the process that gives it. Small kernels only lose by being shared out.
+# compilers know the flag no more, and end the process that gives it.
 FLAGS = ("--xla_cpu_use_fusion_emitters=false",) if jax.__version_info__ < (0, 11) else ()
 # <malloc.h>: M_ARENA_MAX, M_MMAP_MAX, M_TRIM_THRESHOLD and M_TOP_PAD.
 _MEMORY = {-8: 1, -4: 0, -1: 2**31 - 1, -2: 256 * 2**20}
 _CACHE = "jax_compilation_cache_dir"
 _OFF = ("", "0", "false", "no")
+DIGEST_BYTES = 32
+"""Length of the SHA-256 digest that a program's file begins with."""
 
 
 def tune() -> Path | None:
@@ -100,8 +102,8 @@ class CpuEngine(Engine):
 
     def __init__(self, folder: Path | None = None) -> None:
         """`folder` is where traced programs are kept; by default beside the compilation cache, if that is on."""
-        cache = getattr(jax.config, _CACHE)
-        self._folder = folder or (Path(cache) / "programs" if cache else None)
+        compiled = getattr(jax.config, _CACHE)
+        self._folder = folder or (Path(compiled) / "programs" if compiled else None)
         self._programs: dict[Any, Future[Any]] = {}
         self._lock = threading.Lock()
         self._busy = threading.local()
@@ -200,18 +202,22 @@ def _source_digest() -> str:
 
 
 def _read(path: Path) -> Any:
+    """The program of a file, or None where there is none, or it is not whole: it is traced again then."""
     try:
-        return export.deserialize(bytearray(path.read_bytes()))
-    except Exception:  # not there, cut short, of another version: it is traced again
+        data = path.read_bytes()
+    except OSError:
         return None
+    digest, program = data[:DIGEST_BYTES], data[DIGEST_BYTES:]
+    return export.deserialize(bytearray(program)) if hashlib.sha256(program).digest() == digest else None
 
 
 def _write(path: Path, program: Any) -> None:
+    """Keep a program behind its digest; where nothing can be written, what can be computed goes on without."""
+    data = program.serialize()
     try:
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        data = program.serialize()
-        write_atomic(path, lambda file: file.write(data))
-    except (OSError, SonarjaxError):  # a full disk does not stop what can be computed
+        write_atomic(path, lambda file: file.write(hashlib.sha256(data).digest() + data))
+    except (OSError, SonarjaxError):
         return
 
 

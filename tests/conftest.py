@@ -48,8 +48,8 @@ def rng() -> np.random.Generator:
 
 @pytest.fixture(scope="session")
 def real_data() -> Path:
-    """The folder of real sonar files beside the project; tests that use it skip where it is absent."""
-    folder = PROJECT.parent / "shared" / "real"
-    if not folder.is_dir():
-        pytest.skip("the real sonar files (../shared/real) are not here")
-    return folder
+    """The folder of real sonar files; tests that use it skip where SONARJAX_REAL_DATA does not name one."""
+    folder = os.environ.get("SONARJAX_REAL_DATA", "")
+    if not folder or not Path(folder).is_dir():
+        pytest.skip("SONARJAX_REAL_DATA names no folder of real sonar files")
+    return Path(folder)

@@ -25,7 +25,7 @@ from sonarjax.render import (
     floor_point,
     plan_window,
     template_bank,
-)  # fmt: skip
+)
 from sonarjax.scene import Mesh
 from sonarjax.sonar import Sonar
 

@@ -57,7 +57,7 @@ class YawEstimate:
 
     @property
     def pose(self) -> Pose:
-        """The estimate as a `Pose` [m, rad]; z, roll and pitch are those of the start, 0 if it had none."""
+        """The estimate as a `Pose` [m, rad] on the floor: z, roll and pitch are 0, whatever the start had."""
         return Pose(self.x, self.y, self.yaw)
 
 

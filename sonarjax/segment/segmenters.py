@@ -67,12 +67,12 @@ def load_segmenter(name: str | os.PathLike[str] = DEFAULT_SEGMENTER) -> Segmente
     text = os.fspath(name)
     if text in CLASSICAL:
         return Segmenter(text, THRESHOLDS[text])
-    if text != NETWORK and not text.endswith(".safetensors"):
-        raise SonarjaxError(f"segmenter: expected one of {', '.join(SEGMENTERS)} or a .safetensors file, got {text!r}")
+    check_segmenter(text)
     path = shipped_path() if text == NETWORK else text
     _, about = read_safetensors(path)
     threshold, tile = about.get("threshold"), about.get("tile", TILE)
-    if not _is_number(threshold, optional=True) or len(tile) != 2 or not all(_is_number(v) and v > 0 for v in tile):
+    two_sizes = isinstance(tile, list | tuple) and len(tile) == 2 and all(_is_number(v) and v > 0 for v in tile)
+    if not (two_sizes and _is_number(threshold, optional=True)):
         raise SonarjaxError(f"{os.fspath(path)}: metadata: expected a number `threshold` and two numbers `tile`")
     return Segmenter(text, threshold, load_generator(None if text == NETWORK else path), (int(tile[0]), int(tile[1])))
 
@@ -82,6 +82,6 @@ def _is_number(value: Any, optional: bool = False) -> bool:
 
 
 def check_segmenter(name: str) -> None:
-    """Raises SonarjaxError when there is no segmenter of that name."""
+    """Raises SonarjaxError when a name is neither one of `SEGMENTERS` nor that of a weights file."""
     if name not in SEGMENTERS and not name.endswith(".safetensors"):
         raise SonarjaxError(f"segmenter: expected one of {', '.join(SEGMENTERS)} or a .safetensors file, got {name!r}")

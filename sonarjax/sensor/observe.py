@@ -138,8 +138,11 @@ class _Observed(NamedTuple):
     """What `observe_scene` returns, and the overflow of all that was rendered for it."""
 
     image: Array
+    """Grey image (range, beam)."""
     frame: SonarFrame
+    """The clean frame behind it."""
     overflow: Array
+    """As in `SonarFrame`, the largest of all renders."""
 
 
 @partial(jax.jit, static_argnames="quality")

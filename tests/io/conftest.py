@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import struct
 import zipfile
 import zlib
@@ -133,12 +134,12 @@ def saved(tmp_path):
 
 @pytest.fixture
 def real():
-    """`real("aris/sample.aris")`: a real file beside the checkout, or a skip."""
+    """`real("aris/sample.aris")`: a real file of the folder that SONARJAX_REAL_DATA names, or a skip."""
 
     def find(name: str) -> str:
-        path = Path(__file__).resolve().parents[2].parent / "shared" / "real" / name
+        path = Path(os.environ.get("SONARJAX_REAL_DATA", "absent")) / name
         if not path.exists():
-            pytest.skip(f"real sonar data is absent: ../shared/real/{name}")
+            pytest.skip(f"no real sonar file {name}: SONARJAX_REAL_DATA names the folder of them")
         return str(path)
 
     return find

@@ -1,6 +1,7 @@
 """`Mesh`: files through trimesh, clear errors, padding that keeps the surface, and the bound on crossings."""
 
 import math
+import os
 import zipfile
 from pathlib import Path
 
@@ -13,8 +14,7 @@ import trimesh
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.scene import Mesh, objects, stack_meshes
 
-FOLDERS = Path(__file__).parents[2:4]  # the repository, and the folder that holds it
-PIPE = next((f / "shared/real/pipe/pipe.stl" for f in FOLDERS if (f / "shared/real/pipe").is_dir()), Path("absent"))
+PIPE = Path(os.environ.get("SONARJAX_REAL_DATA", "absent")) / "pipe" / "pipe.stl"
 TRIANGLE = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
 
 

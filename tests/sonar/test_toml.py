@@ -1,6 +1,7 @@
 """`sonar.toml`: round trips, every way to write the beams, and every bad input as one clear line."""
 
 import math
+import os
 from dataclasses import fields
 from pathlib import Path
 
@@ -12,8 +13,7 @@ import pytest
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.sonar import PRESETS, FloorPatch, Sonar, sonar_from_dict
 
-FOLDERS = Path(__file__).parents[2:4]  # the repository, and the folder that holds it
-REAL = next((f / "shared/real/pipe/sonar.toml" for f in FOLDERS if (f / "shared/real/pipe").is_dir()), Path("absent"))
+REAL = Path(os.environ.get("SONARJAX_REAL_DATA", "absent")) / "pipe" / "sonar.toml"
 BASE = {
     "n_beams": 96,
     "field_of_view_deg": 29.0,
