@@ -29,7 +29,7 @@ from experiments.common.recognizers import recognizers
 from experiments.common.runs import Job
 from experiments.common.scores import target
 from experiments.common.segmenters import Name, map_of
-from sonarjax.recognize import ECHO_ITERATIONS, FRAME_BLURS, MAP_REFINEMENT
+from sonarjax.recognize import FRAME_BLURS, FRAME_ITERATIONS, MAP_REFINEMENT, on_frame
 
 BLURS = ((2.0, 0.8), (4.0, 1.5), (1.0, 0.5))
 SHARPNESSES = (0.0, 10.0)
@@ -80,9 +80,13 @@ class Way(NamedTuple):
 
 
 # With what is not compared, as the iterations.
-AS_USED = {"semantic": MAP_REFINEMENT, "echo": replace(MAP_REFINEMENT, iterations=ECHO_ITERATIONS, template="echo")}
-USED = [Way("both", name, FRAME_BLURS, MAP_REFINEMENT.sharpness, MAP_REFINEMENT.margin) for name in AS_USED]
-BETTER = USED[0]._replace(template="better")  # what `recognize` does: of both, the one with the better score
+AS_USED = {
+    "semantic": MAP_REFINEMENT,
+    "echo": replace(MAP_REFINEMENT, iterations=FRAME_ITERATIONS, template="echo"),
+    "either": on_frame(MAP_REFINEMENT),
+}
+USED = Way("both", "either", FRAME_BLURS, MAP_REFINEMENT.sharpness, MAP_REFINEMENT.margin)
+"""What `recognize` does."""
 
 
 def ways(most: int, segmenter: str) -> list[Way]:
@@ -97,7 +101,7 @@ def ways(most: int, segmenter: str) -> list[Way]:
     if segmenter == "none":
         del chosen["map", "semantic"]
     compared = [Way(*what, *setting) for what, all_of_it in chosen.items() for setting in all_of_it]
-    return compared + [way for way in USED if way not in compared]
+    return [*compared, USED]
 
 
 def run(settings: Settings, job: Job) -> Report:
@@ -120,7 +124,7 @@ def _measure(frames: list[TestFrame], most: int, segmenter: str) -> list[dict[st
         {"segmenter": segmenter, "besides": besides(error, std)}
         | summary_deg(error)
         | way._asdict()
-        | {"used": way == BETTER}
+        | {"used": way == USED}
         for way, (error, std, _) in errors(frames, segmenter, most).items()
     ]
 
@@ -155,7 +159,6 @@ def errors(frames: list[TestFrame], segmenter: str, most: int) -> dict[Way, np.n
             estimate = sj.refine_yaw(image, mesh, sonar, at, config=config, engine=engine())
             error = yaw_error_deg(estimate.yaw, frame.yaw)
             found[way].append((float(error), math.degrees(float(estimate.yaw_std)), float(estimate.score)))
-        found[BETTER].append(max((found[way][-1] for way in USED), key=lambda one: one[2]))
     return {way: np.array(values).T for way, values in found.items()}
 
 

@@ -30,15 +30,16 @@ from sonarjax.render import (
     template_bank,
 )
 from sonarjax.scene import Mesh, Pose, objects, stack_meshes
-from sonarjax.segment import Segmenter, load_segmenter
+from sonarjax.segment import GeneratorWeights, Segmenter, load_segmenter, segment
 from sonarjax.sensor import SensorModel, observe
 from sonarjax.sonar import FloorPatch, Sonar
 
 __version__ = "0.1.0"
 
 __all__ = [
-    "Engine", "FloorPatch", "Mesh", "Pose", "Recognition", "Recognizer", "RefineConfig", "RenderQuality",
-    "SearchConfig", "Segmenter", "SensorModel", "Sonar", "SonarFrame", "SonarjaxError", "TemplateBank", "Window",
-    "WindowSize", "YawEstimate", "load_segmenter", "match_bank", "match_positions", "objects", "observe",
-    "plan_refinement", "plan_window", "recognize", "refine_yaw", "render", "stack_meshes", "template_bank",
+    "Engine", "FloorPatch", "GeneratorWeights", "Mesh", "Pose", "Recognition", "Recognizer", "RefineConfig",
+    "RenderQuality", "SearchConfig", "Segmenter", "SensorModel", "Sonar", "SonarFrame", "SonarjaxError",
+    "TemplateBank", "Window", "WindowSize", "YawEstimate", "load_segmenter", "match_bank", "match_positions",
+    "objects", "observe", "plan_refinement", "plan_window", "recognize", "refine_yaw", "render", "segment",
+    "stack_meshes", "template_bank",
 ]  # fmt: skip

@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 
 from sonarjax.engine import PLAIN, Engine
@@ -31,11 +30,14 @@ Refining starts at a match, so no blur has to widen the basin: a coarse one foll
 What a threshold makes of speckle is no label image: a plain template (sharpness 0) does best for it."""
 FRAME_BLURS = (1.0, 0.5)
 """Blurs [range bins] of the refinement on the frame itself, which goes on from the map's."""
-ECHO_ITERATIONS = 3
+FRAME_ITERATIONS = 3
+"""Renders at each of these blurs, at most."""
 UNMODELLED_YAW = math.radians(0.5)
 """Extra standard deviation [rad], added in quadrature so that the error bars cover 68 % of validation frames.
 
 Bounces, brightness and speckle that the echo template leaves out (experiments/fit_refinement.py --drawn)."""
+NEARER = 0.15
+"""Share of the distances that are nearer than the one that the refinement's usual window is planned for."""
 SAME_YAW = math.radians(8.0)  # refined hypotheses closer than this are one
 GIVEN = "given"
 
@@ -195,12 +197,11 @@ class Recognizer:
         )
 
     def _usual_window(self, search: TargetSearch) -> WindowSize | None:
-        """The window that refinement needs at most distances."""
+        """The window that refinement needs at the nearer distances, the very nearest apart: it does for all beyond."""
         if self.refine is None:
             return None
-        starts = [Pose(x=distance) for distance in search.distances]
-        sizes = [plan_refinement(search.mesh, self.sonar, start, self.refine) for start in starts]
-        return max(set(sizes), key=sizes.count)
+        usual = float(np.quantile(search.distances, NEARER))
+        return plan_refinement(search.mesh, self.sonar, Pose(x=usual), self.refine)
 
     def _prepare(self) -> None:
         """Have refinement compiled while the first frame is segmented and matched."""
@@ -245,8 +246,9 @@ class Recognizer:
         start = _kept(on_map, start)
         estimate = refine_on_frame(image, mesh, self.sonar, start, mask, config, window, self.engine)
         pose = _kept(estimate, start)
-        order = int(np.argmax(np.asarray(estimate.score)))
-        return _refined(estimate, pose), float(np.asarray(pose.x)[order]), float(np.asarray(pose.y)[order])
+        hypotheses = _refined(estimate, pose)
+        order = int(np.argmax([one.score for one in hypotheses]))
+        return _distinct(hypotheses), float(np.asarray(pose.x)[order]), float(np.asarray(pose.y)[order])
 
 
 def recognize(
@@ -279,17 +281,16 @@ def refine_on_frame(
 
     A map says what is where, but its edges are blunt, and all of an object is equally bright in it. The echo fits a
     sonar's frame (on validation frames a median of 0.3° instead of 0.5°), the semantic image one that was drawn without
-    a sensor; the better score decides (experiments/fit_refinement.py).
+    a sensor; the better score at the start decides (experiments/fit_refinement.py).
     Raises SonarjaxError as `refine_yaw` does.
     """
-    plain = replace(config, blurs=FRAME_BLURS[-len(config.blurs) :], template="semantic")
-    echo = replace(plain, iterations=min(ECHO_ITERATIONS, config.iterations), template="echo")
-    first, second = engine.map(
-        lambda way: refine_yaw(image, mesh, sonar, start, mask=mask, config=way, window=window, engine=engine),
-        (plain, echo),
-    )
-    better = np.asarray(second.score) >= np.asarray(first.score)
-    return jax.tree.map(lambda b, a: jax.device_put(np.where(better, np.asarray(b), np.asarray(a))), second, first)
+    return refine_yaw(image, mesh, sonar, start, mask=mask, config=on_frame(config), window=window, engine=engine)
+
+
+def on_frame(config: RefineConfig) -> RefineConfig:
+    """The config of the refinement on the frame itself that follows one on the map."""
+    blurs, iterations = FRAME_BLURS[-len(config.blurs) :], min(FRAME_ITERATIONS, config.iterations)
+    return replace(config, blurs=blurs, iterations=iterations, template="either")
 
 
 def _named(targets: Mesh | Sequence[Mesh] | Mapping[str, Mesh]) -> dict[str, Mesh]:
@@ -316,17 +317,23 @@ def _peak_bins(scores: np.ndarray, yaws: np.ndarray, count: int) -> list[int]:
     return [int(k) for k, valid in zip(np.asarray(found.yaw_bin), np.asarray(found.valid), strict=True) if valid]
 
 
+def _is_kept(estimate: YawEstimate) -> np.ndarray:
+    """True where refinement settled, or fits better than its start did."""
+    return np.asarray(estimate.converged) | (np.asarray(estimate.score) > np.asarray(estimate.start_score))
+
+
 def _kept(estimate: YawEstimate, start: Pose) -> Pose:
-    """The refined poses; the start where refinement neither settled nor fits better than it."""
-    keep = np.asarray(estimate.converged) | (np.asarray(estimate.score) > np.asarray(estimate.start_score))
+    """The refined poses; the start where the refined one is not kept."""
     pairs = ((estimate.x, start.x), (estimate.y, start.y), (estimate.yaw, start.yaw))
-    return Pose(*(np.where(keep, np.asarray(new), np.asarray(old)) for new, old in pairs))
+    return Pose(*(np.where(_is_kept(estimate), np.asarray(new), np.asarray(old)) for new, old in pairs))
 
 
-def _refined(estimate: YawEstimate, pose: Pose) -> tuple[Hypothesis, ...]:
+def _refined(estimate: YawEstimate, pose: Pose) -> list[Hypothesis]:
+    """A hypothesis for each of the `pose`s that were kept, with the score that belongs to it."""
+    scores = np.where(_is_kept(estimate), np.asarray(estimate.score), np.asarray(estimate.start_score))
     stds = np.hypot(np.asarray(estimate.yaw_std), UNMODELLED_YAW)
-    rows = zip(np.asarray(pose.yaw), np.asarray(estimate.score), stds, np.asarray(estimate.converged), strict=True)
-    return _distinct([Hypothesis(_wrap(yaw), float(score), float(std), bool(ok)) for yaw, score, std, ok in rows])
+    rows = zip(np.asarray(pose.yaw), scores, stds, np.asarray(estimate.converged), strict=True)
+    return [Hypothesis(_wrap(yaw), float(score), float(std), bool(ok)) for yaw, score, std, ok in rows]
 
 
 def _distinct(hypotheses: list[Hypothesis]) -> tuple[Hypothesis, ...]:

@@ -52,6 +52,13 @@ def templates() -> jax.Array:
     return jnp.asarray(np.random.default_rng(0).random((8, 40, 12)), jnp.float32)
 
 
+@cache
+def network() -> sj.GeneratorWeights:
+    weights = sj.load_segmenter().weights
+    assert weights is not None
+    return weights
+
+
 def stacked(*trees: Any) -> Any:
     return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf, jnp.float32) for leaf in leaves]), *trees)
 
@@ -80,7 +87,7 @@ YAWS36 = np.arange(36, dtype=np.float32) * np.float32(math.radians(10.0))
 @pytest.fixture(autouse=True, scope="module")
 def _made_before() -> None:
     """What tests share is computed outside of any trace."""
-    images(), templates(), seen()
+    images(), templates(), seen(), network()
 
 
 # Name: a function of one thing, and a batch of it. What is compared is a pytree of numbers.
@@ -111,6 +118,11 @@ CASES: dict[str, Callable[[], tuple[Callable[[Any], Any], Any]]] = {
     ),
     "decide": lambda: (lambda s: decide(s, jnp.asarray(YAWS36), 0.9), scores()),
     "peaks": lambda: (lambda s: peaks(s, jnp.asarray(YAWS36)), scores()),
+    "segment": lambda: (lambda image: sj.segment(image, network()), images()),
+    "segment, masked": lambda: (
+        lambda job: sj.segment(job[0], network(), job[1]),
+        (images(), images() > jnp.array([0.1, 0.4, 0.6])[:, None, None]),
+    ),
     "semantic_image": lambda: (lambda both: semantic_image(*both), (images(), images()[::-1])),
     "labels": lambda: (
         lambda both: replace(seen(), highlight=both[0], shadow=both[1]).labels(),
@@ -285,6 +297,11 @@ def test_gradients_of_render_are_central_differences() -> None:
 SMOOTH: dict[str, Callable[[], tuple[Callable[[jax.Array], jax.Array], jax.Array, float]]] = {
     "match_bank": lambda: (lambda image: sj.match_bank(image, templates()[:1])[0], planted(), 1e-2),
     "correlation_maps": lambda: (lambda image: (correlation_maps(image, templates()) ** 2).sum(), noise(), 1e-2),
+    "segment": lambda: (
+        lambda image: (jnp.sin(jnp.arange(96.0) / 7)[:, None] * sj.segment(image, network())).sum(),
+        0.3 + 0.4 * images()[0] + 0.1 * noise(),
+        3e-4,
+    ),
     "semantic_image": lambda: (
         lambda share: (semantic_image(share, 1 - share) * templates()[0]).sum(),
         0.2 + 0.6 * templates()[1],

@@ -17,7 +17,7 @@ from experiments.common.engine import engine
 from experiments.common.frames import TestFrame
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.segment import SEGMENTERS
-from sonarjax.segment.tiled import segment_frame
+from sonarjax.segment.tiled import segment
 
 DISCRIMINATIVE, TILES, TRUTH = "discriminative", "pix2pix-tiles", "truth"
 Name = Literal["truth", "pix2pix", "pix2pix-tiles", "discriminative", "none", "otsu", "otsu1", "otsu3", "median-otsu"]
@@ -43,7 +43,7 @@ def map_of(name: str, frame: TestFrame) -> np.ndarray:
     if name == TILES:
         weights = loaded("pix2pix").weights
         assert weights is not None
-        return segment_frame(weights, frame.image, closer=False, engine=engine())
+        return np.asarray(engine().run(segment, frame.image, weights, closer=0))
     return np.asarray(loaded(name).semantic(frame.image, engine=engine()), np.float32)
 
 

@@ -34,7 +34,7 @@ class RefineConfig:
     template: Template = "semantic"
     """`semantic`, or `echo` for a frame as the device stored it: shadow, floor, each facet as bright as the elevation
     that its echo gathers makes it, and the object's bounce on the floor, whose strength is fitted too (`sharpness`
-    plays no part then)."""
+    plays no part then). `either` takes the one that fits the start better."""
 
     def __post_init__(self) -> None:
         """Raises SonarjaxError for an unknown template, or numbers that no search can have."""

@@ -6,6 +6,7 @@ linear model inside a trust region, which costs next to nothing beside a render.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
@@ -15,7 +16,7 @@ from jaxopt import LevenbergMarquardt
 from jaxtyping import Array, Bool, Float, Int
 
 from sonarjax.refine.objective import ROW_STRIDE, Blur, Problem, box_around, crop_score, make_blur, normalised
-from sonarjax.refine.template import draw_with_slope
+from sonarjax.refine.template import EITHER, POSE, VIEWS, Subject, layers_with_slope, paint, paint_with_slope
 
 TRUST = (0.12, 0.02, 0.02, 0.2)
 """Largest step in yaw [rad], x, y [m] and a bounce's energy that is believed."""
@@ -66,6 +67,8 @@ class Solution(NamedTuple):
     """The best point."""
     weight: Float[Array, "range beam"]
     """1 where a pixel counted: it was measured, and lies inside the start's margin."""
+    views: Int[Array, ""]
+    """Which template was fitted, see `VIEWS`: where either would do, the one that fits the start better."""
     start_score: Float[Array, ""]
     """NCC of the start's template, unblurred."""
     renders: Int[Array, ""]
@@ -88,11 +91,15 @@ def coarse_to_fine(problem: Problem, search: Search) -> Solution:
     last = len(search.blurs) - 1
     ladder = jax.vmap(lambda sigma: make_blur(shape, sigma))(search.blurs)
     trust = jnp.asarray(TRUST)
+    either = problem.subject.views == EITHER
 
     def iterate(state: _State) -> _State:
         blur = jax.tree.map(lambda v: v[state.level], ladder)
-        drawn, slope = draw_with_slope(problem.subject, state.step)
         solution, first = state.solution, state.solution.renders == 0
+        layers, slopes = layers_with_slope(replace(problem.subject, views=solution.views), state.step)
+        views = jnp.where(first & either, _better_template(problem, layers, search), solution.views)
+        subject = replace(problem.subject, views=views)
+        drawn, slope = paint_with_slope(subject, layers, slopes, state.step[POSE])
         # Here rather than before the loop, which would compile the renderer twice.
         weight = jnp.where(first, problem.weight * box_around(drawn, problem.margin), solution.weight)
         start_score = crop_score(problem.image, drawn, problem.weight, search.score_margin)
@@ -112,17 +119,32 @@ def coarse_to_fine(problem: Problem, search: Search) -> Solution:
             renders_here=jnp.where(over, 0, state.renders_here + 1),
             step=next_step,
             done=finest & over,
-            solution=Solution(best, weight, jnp.where(first, start_score, solution.start_score), solution.renders + 1),
+            solution=Solution(
+                best, weight, views, jnp.where(first, start_score, solution.start_score), solution.renders + 1
+            ),
         )
 
     start = jnp.clip(jnp.zeros(len(trust)), *search.bounds)
     dark, flat = jnp.zeros(shape), jnp.zeros((len(start), *shape))
     none = Found(jnp.asarray(jnp.inf), start, dark, flat, jnp.ones_like(start))
     zero = jnp.zeros((), jnp.int32)
-    begun = Solution(none, problem.weight, jnp.zeros(()), zero)
+    # Both templates are painted from the echo's views.
+    begun = Solution(none, problem.weight, jnp.where(either, VIEWS["echo"], problem.subject.views), jnp.zeros(()), zero)
     return jax.lax.while_loop(
         lambda state: ~state.done, iterate, _State(zero, zero, start, jnp.zeros((), bool), begun)
     ).solution
+
+
+def _better_template(problem: Problem, layers: Array, search: Search) -> Int[Array, ""]:
+    """The template of the start's `layers` whose NCC with the image is larger, as in `VIEWS`."""
+
+    def score(subject: Subject) -> Array:
+        drawn = paint(subject, layers, jnp.zeros(()))
+        return crop_score(problem.image, drawn, problem.weight, search.score_margin)
+
+    semantic, echo = (jnp.int32(VIEWS[name]) for name in ("semantic", "echo"))
+    better = score(replace(problem.subject, views=echo)) >= score(replace(problem.subject, views=semantic))
+    return jnp.where(better, echo, semantic)
 
 
 def _linear_step(

@@ -22,11 +22,14 @@ from sonarjax.sensor.multipath import bounce_mesh, without_floor
 from sonarjax.sensor.propagation import range_middles
 from sonarjax.sonar import Sonar
 
-Template = Literal["semantic", "echo"]
-VIEWS: dict[str, int] = {"semantic": 1, "echo": 2}
-"""How many views of the object each template takes."""
-BOUNCE_BOUNDS: dict[str, tuple[float, float]] = {"semantic": (0.0, 0.0), "echo": (0.0, 1.0)}
+Template = Literal["semantic", "echo", "either"]
+EITHER = 0
+VIEWS: dict[str, int] = {"semantic": 1, "echo": 2, "either": EITHER}
+"""How many views of the object each template takes; EITHER until a search has chosen."""
+BOUNCE_BOUNDS: dict[str, tuple[float, float]] = {"semantic": (0.0, 0.0), "echo": (0.0, 1.0), "either": (0.0, 1.0)}
 """Bounds of the energy that a bounce on the floor leaves [1], which is fitted with yaw, x and y."""
+POSE = 3
+"""Numbers of a step that move the object: yaw, x and y. The bounce's energy follows them."""
 BACKGROUND = 0.5  # of the semantic image
 DEVICE = SensorModel()  # the nominal device: how bright an echo is beside floor and shadow, and how it is stored
 OBJECT_GAIN = 10 ** (DEVICE.object_gain / 10)
@@ -47,7 +50,7 @@ class Subject:
     sharpness: Float[Array, ""]
     """How sharply a semantic template is labelled: see `labelled`."""
     views: Int[Array, ""]
-    """1 for the semantic template, 2 for the echo."""
+    """1 for the semantic template, 2 for the echo, see `VIEWS`."""
     quality: RenderQuality = static()
     """How finely it is rendered."""
 
@@ -74,8 +77,41 @@ def draw(subject: Subject, step: Float[Array, "step"], reverse: bool = False) ->
     `step` is yaw [rad], x and y [m], and the energy that a bounce on the floor leaves [1], for the echo. By forward
     mode it is differentiated as it is; with `reverse` also by reverse mode, at the price of both views every time.
     """
-    pose = pose_at(subject.start, step)
-    views = _views(subject, pose)
+    return paint(subject, render_layers(subject, step[:POSE], reverse), step[POSE])
+
+
+def layers_with_slope(
+    subject: Subject, step: Float[Array, "step"]
+) -> tuple[Float[Array, "view layer range beam"], Float[Array, "pose view layer range beam"]]:
+    """`render_layers` and its derivatives by yaw, x and y (forward mode)."""
+
+    def render(pose: Array) -> Array:
+        return render_layers(subject, pose)
+
+    return jax.vmap(lambda along: jax.jvp(render, (step[:POSE],), (along,)), out_axes=(None, 0))(jnp.eye(POSE))
+
+
+def paint_with_slope(
+    subject: Subject, layers: Array, slopes: Array, bounce: Float[Array, ""]
+) -> tuple[Float[Array, "range beam"], Float[Array, "step range beam"]]:
+    """`paint` and its derivatives by each number of a step: the pose's from the layers' `slopes`, and the bounce's."""
+    slopes = jnp.concatenate([slopes, jnp.zeros_like(slopes[:1])])
+    by_bounce = jnp.eye(len(slopes))[POSE]
+
+    def along(slope: Array, bounce_slope: Array) -> tuple[Array, Array]:
+        return jax.jvp(lambda drawn, energy: paint(subject, drawn, energy), (layers, bounce), (slope, bounce_slope))
+
+    return jax.vmap(along, out_axes=(None, 0))(slopes, by_bounce)
+
+
+def render_layers(
+    subject: Subject, step: Float[Array, "pose"], reverse: bool = False
+) -> Float[Array, "view layer range beam"]:
+    """Echo, highlight and shadow of the object at `step` (yaw [rad], x, y [m]), and of its mirror image in the floor.
+
+    The mirror image is left dark where the template takes one view. `reverse` as in `draw`.
+    """
+    views = _views(subject, pose_at(subject.start, step))
 
     def seen(view: Any) -> Array:
         vertices, faces, lift, height, aperture = view
@@ -85,26 +121,20 @@ def draw(subject: Subject, step: Float[Array, "step"], reverse: bool = False) ->
 
     # One view after the other, so that the renderer is compiled once.
     if reverse:
-        layers = jax.lax.map(seen, views)
-    else:
-        nothing = jnp.zeros((2, 3, *subject.window.shape))
-        layers = jax.lax.fori_loop(
-            0, subject.views, lambda k, done: done.at[k].set(seen(jax.tree.map(lambda v: v[k], views))), nothing
-        )
+        return jax.lax.map(seen, views)
+    nothing = jnp.zeros((2, 3, *subject.window.shape))
+    return jax.lax.fori_loop(
+        0, subject.views, lambda k, done: done.at[k].set(seen(jax.tree.map(lambda v: v[k], views))), nothing
+    )
+
+
+def paint(
+    subject: Subject, layers: Float[Array, "view layer range beam"], bounce: Float[Array, ""]
+) -> Float[Array, "range beam"]:
+    """The template that the layers of `render_layers` make, with the energy that a `bounce` on the floor leaves [1]."""
     (echo, highlight, shadow), (bounced, *_) = layers
     grey = semantic_image(*(labelled(v, subject.sharpness) for v in (highlight, shadow))) - BACKGROUND
-    return jnp.where(subject.views > 1, _stored_echo(subject, echo + step[3] * bounced, shadow), grey)
-
-
-def draw_with_slope(
-    subject: Subject, step: Float[Array, "step"]
-) -> tuple[Float[Array, "range beam"], Float[Array, "step range beam"]]:
-    """`draw` and its derivatives by each number of `step` (forward mode)."""
-
-    def draw_at(step: Array) -> Array:
-        return draw(subject, step)
-
-    return jax.vmap(lambda along: jax.jvp(draw_at, (step,), (along,)), out_axes=(None, 0))(jnp.eye(len(step)))
+    return jnp.where(subject.views > 1, _stored_echo(subject, echo + bounce * bounced, shadow), grey)
 
 
 def _views(subject: Subject, pose: Pose) -> tuple[Array, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -17,7 +18,7 @@ from sonarjax.records import record
 from sonarjax.refine.config import RefineConfig
 from sonarjax.refine.implicit import attach, hessian, is_minimum, without_gradient
 from sonarjax.refine.objective import Problem, crop_score, make_blur, normalised
-from sonarjax.refine.solver import SETTLED_SHARE, STATIONARY_SHARE, TRUST, Found, Search, coarse_to_fine
+from sonarjax.refine.solver import SETTLED_SHARE, STATIONARY_SHARE, TRUST, Found, Search, Solution, coarse_to_fine
 from sonarjax.refine.template import BOUNCE_BOUNDS, VIEWS, Subject, pose_at
 from sonarjax.render import RenderQuality, WindowSize, place_window, plan_window
 from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS
@@ -190,7 +191,7 @@ def _refine(
     converged = inside[:3].all() & (left[:3].max() < SETTLED_SHARE) & jnp.isfinite(best.cost)
     determined = jnp.zeros((), bool)
     if polished:
-        fitted = _with_weight(problem, solution.weight)
+        fitted = _as_solved(problem, solution)
         blur = make_blur(size.shape, search.blurs[-1])
         free = inside & (search.bounds[1] > 0) & (step > search.bounds[0])
         curvature = hessian(without_gradient(fitted), blur, step)
@@ -210,9 +211,9 @@ def _refine(
     )
 
 
-def _with_weight(problem: Problem, weight: Array) -> Problem:
-    """The problem with the pixels that count fixed: with them the objective no longer depends on the start."""
-    return problem._replace(weight=weight)
+def _as_solved(problem: Problem, solution: Solution) -> Problem:
+    """The problem with pixels and template as the search chose them: its objective no longer depends on the start."""
+    return problem._replace(weight=solution.weight, subject=replace(problem.subject, views=solution.views))
 
 
 def _yaw_std(image: Array, weight: Array, found: Found) -> Array:

@@ -13,7 +13,7 @@ from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.safetensors import read_safetensors
 from sonarjax.segment.classical import CLASSICAL, THRESHOLDS, from_grey, threshold_labels, to_grey
-from sonarjax.segment.tiled import TILE, segment_frame
+from sonarjax.segment.tiled import TILE, segment
 from sonarjax.segment.weights import GeneratorWeights, load_generator, shipped_path
 
 NETWORK = "pix2pix"
@@ -45,7 +45,7 @@ class Segmenter:
         `none` gives the grey frame itself. Pixels outside `mask` are background.
         """
         if self.weights is not None:
-            return segment_frame(self.weights, image, mask, tile=self.tile, engine=engine)
+            return np.array(engine.run(segment, image, self.weights, mask, tile=self.tile))
         return image if self.name == "none" else to_grey(threshold_labels(image, self.name, mask))
 
     def labels(

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import sonarjax as sj
-from sonarjax.recognize import ECHO_ITERATIONS, FRAME_BLURS, MAP_REFINEMENT, refine_on_frame
-from sonarjax.refine.template import Subject, draw, draw_with_slope
+from sonarjax.recognize import FRAME_BLURS, FRAME_ITERATIONS, MAP_REFINEMENT, refine_on_frame
+from sonarjax.refine.template import Subject, draw, layers_with_slope, paint_with_slope
 from sonarjax.render import RenderQuality, place_window, plan_window
 from sonarjax.sensor import SensorModel, observe_scene
 
@@ -19,8 +19,8 @@ pytestmark = pytest.mark.slow
 SONAR = sj.Sonar.preset("didson-hf", tilt=math.radians(20.0), height=0.9)
 YAWS = np.radians([11.0, 77.0, 141.0, 218.0, 303.0]).astype(np.float32)
 X, Y = 2.3, 0.05
-PLAIN = replace(MAP_REFINEMENT, blurs=FRAME_BLURS)
-ON_FRAME = (PLAIN, replace(PLAIN, iterations=ECHO_ITERATIONS, template="echo"))
+PLAIN = replace(MAP_REFINEMENT, blurs=FRAME_BLURS, iterations=FRAME_ITERATIONS)
+ON_FRAME = (PLAIN, replace(PLAIN, template="echo"))
 QUIET = replace(SensorModel.nominal(), speckle=0.0, texture=0.0)  # but with its bounce on the floor
 
 
@@ -87,6 +87,10 @@ def test_derivatives_against_central_differences(mesh):
         off = np.linalg.norm(smooth(slope[k]) - expected) / np.linalg.norm(expected)
         print(f"number {k}: {off:.3f} off")
         assert off < limit
+
+
+def draw_with_slope(subject, step):
+    return paint_with_slope(subject, *layers_with_slope(subject, step), step[3])
 
 
 def smooth(image):
