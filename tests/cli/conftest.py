@@ -91,9 +91,9 @@ def stand_in(monkeypatch) -> SimpleNamespace:
             note("pix2pix")
             return (image > 0.5).astype(np.uint8)
 
-    # By its name in sys.modules: `sonarjax.recognize` is the function.
+    # By name in sys.modules: `sonarjax.recognize` and `sonarjax.segment` are the functions.
     monkeypatch.setattr(sys.modules["sonarjax.recognize"], "Recognizer", Recognizer)
-    monkeypatch.setattr("sonarjax.segment.load_segmenter", Network)
+    monkeypatch.setattr(sys.modules["sonarjax.segment"], "load_segmenter", Network)
     return state
 
 
