@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
 from sonarjax.engine import PLAIN, Engine
@@ -239,16 +240,30 @@ class Recognizer:
         if self.refine is None:
             return _distinct([Hypothesis(_wrap(best.yaws[k]), float(scores[k]), None) for k in bins]), best.x, best.y
         turned = [best.yaws[k] + between_bins(scores, k) * (2 * math.pi / len(scores)) for k in bins]
-        start = Pose(x=best.x, y=best.y, yaw=np.array(turned))
-        config = self.refine
-        mesh, window = best.search.mesh, self._window(best)
-        on_map = refine_yaw(seen, mesh, self.sonar, start, mask=mask, config=config, window=window, engine=self.engine)
-        start = _kept(on_map, start)
-        estimate = refine_on_frame(image, mesh, self.sonar, start, mask, config, window, self.engine)
-        pose = _kept(estimate, start)
+        window = self._window(best)
+
+        def refined(yaw: float) -> tuple[YawEstimate, Pose]:
+            found = Pose(x=best.x, y=best.y, yaw=yaw)
+            return self._refined(best.search.mesh, found, image, seen, mask, window)
+
+        # Each on its own: one that settles early waits for no other.
+        parts = self.engine.map(refined, turned)
+        estimate, pose = jax.tree.map(lambda *values: np.stack([np.asarray(v) for v in values]), *parts)
         hypotheses = _refined(estimate, pose)
         order = int(np.argmax([one.score for one in hypotheses]))
         return _distinct(hypotheses), float(np.asarray(pose.x)[order]), float(np.asarray(pose.y)[order])
+
+    def _refined(
+        self, mesh: Mesh, found: Pose, image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None,
+        window: WindowSize | None,
+    ) -> tuple[YawEstimate, Pose]:  # fmt: skip
+        """One hypothesis refined on the map, then on the frame; with the pose that is kept."""
+        assert self.refine is not None
+        how: dict[str, Any] = {"mask": mask, "window": window, "engine": self.engine}
+        on_map = refine_yaw(seen, mesh, self.sonar, found, config=self.refine, **how)
+        start = _kept(on_map, found)
+        estimate = refine_on_frame(image, mesh, self.sonar, start, config=self.refine, **how)
+        return estimate, _kept(estimate, start)
 
 
 def recognize(
