@@ -239,7 +239,7 @@ class Recognizer:
         bins = _peak_bins(scores, best.yaws, self.search.hypotheses)
         if self.refine is None:
             return _distinct([Hypothesis(_wrap(best.yaws[k]), float(scores[k]), None) for k in bins]), best.x, best.y
-        turned = [best.yaws[k] + between_bins(scores, k) * (2 * math.pi / len(scores)) for k in bins]
+        turned = [float(best.yaws[k]) + between_bins(scores, k) * (2 * math.pi / len(scores)) for k in bins]
         window = self._window(best)
 
         def refined(yaw: float) -> tuple[YawEstimate, Pose]:
@@ -332,9 +332,9 @@ def _peak_bins(scores: np.ndarray, yaws: np.ndarray, count: int) -> list[int]:
     return [int(k) for k, valid in zip(np.asarray(found.yaw_bin), np.asarray(found.valid), strict=True) if valid]
 
 
-def _is_kept(estimate: YawEstimate) -> np.ndarray:
+def _is_kept(estimate: YawEstimate) -> Any:
     """True where refinement settled, or fits better than its start did."""
-    return np.asarray(estimate.converged) | (np.asarray(estimate.score) > np.asarray(estimate.start_score))
+    return np.asarray(estimate.converged) | np.asarray(estimate.score > estimate.start_score)
 
 
 def _kept(estimate: YawEstimate, start: Pose) -> Pose:

@@ -27,7 +27,7 @@ def recognize(command, place, tmp_path):
 
 def test_a_rendered_frame_is_recognized_with_every_field(recognize, rendered):
     code, (record,) = recognize(rendered)
-    assert code == 0
+    assert code == 0, record
     assert set(record) == FIELDS
     assert (record["frame"], record["segmenter"], record["schema"]) == (str(rendered), "none", 2)
     assert all(set(found) == {"yaw_deg", "score", "yaw_std_deg", "converged"} for found in record["hypotheses"])
