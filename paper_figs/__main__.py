@@ -22,7 +22,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--all", action="store_true", help="every item whose experiments have run")
     parser.add_argument("--report", metavar="FILE", type=Path, help="write one HTML page with everything that has run")
     parser.add_argument("--index", action="store_true", help="write paper_figs/README.md")
-    parser.add_argument("--readme", action="store_true", help="fill the tables of README.md")
+    parser.add_argument("--readme", action="store_true", help="fill the tables of README.md and docs/")
     parser.add_argument("--runs", type=Path, default=Path("runs"), help="folder of the results (default: runs)")
     parser.add_argument("--out", type=Path, default=index.FOLDER / "drawn", help="folder of the figures")
     chosen = parser.parse_args(arguments)
@@ -49,8 +49,9 @@ def _do(chosen: argparse.Namespace) -> None:
         write_text(index.FOLDER / "README.md", index.text(chosen.runs))
         _say(index.FOLDER / "README.md")
     if chosen.readme:
-        readme.update(readme.PATH, chosen.runs)
-        _say(readme.PATH)
+        readme.update(readme.PAGES, chosen.runs)
+        for page in readme.PAGES:
+            _say(page)
     if chosen.report:
         page = report.page(chosen.runs)
         chosen.report.parent.mkdir(parents=True, exist_ok=True)

@@ -1,36 +1,88 @@
-"""The tables of README.md, from the experiments' own runs: what stands between markers is replaced.
+"""The tables of README.md and docs/, from the experiments' own results: what stands between markers is replaced.
 
 `<!-- reproduce_paper:begin -->` and `<!-- reproduce_paper:end -->`, each on a line of its own, hold the table of
-`experiments.reproduce_paper`, and so for any other experiment.
+`experiments.reproduce_paper`, and so for any other experiment. The results themselves are kept in docs/results, so that
+a test can make every table again and compare each digit. The block `baseline` is the table of `paper_figs.baseline`.
 """
 
 from __future__ import annotations
 
 import importlib
+import json
 import re
 from pathlib import Path
 from typing import Any
 
 from experiments.common.launch import combined, mean_and_spread
 from experiments.common.runs import RESULTS, ROOT, load_report
+from paper_figs import baseline
 from paper_figs.index import command
-from paper_figs.shared import Run, load
+from paper_figs.shared import Run, has_run, load
 from sonarjax.io import SonarjaxError, write_text
 
-PATH = ROOT / "README.md"
-NEEDED = ("reproduce_paper", "evaluate_segmenters")
+PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+KEPT = ROOT / "docs" / "results"
+"""Folder of the results behind the tables, a file for each experiment: a list of reports, one for each seed."""
 BEGIN = re.compile(r"^<!-- (\w+):begin -->$", re.MULTILINE)
 
 
-def update(path: Path, runs: Path) -> None:
-    """Fill every block of a Markdown file. Raises SonarjaxError, and leaves it as it was, where one cannot be."""
+def update(pages: tuple[Path, ...], runs: Path, kept: Path = KEPT) -> None:
+    """Keep the newest results of the experiments that have run, and fill every block of some Markdown files.
+
+    Raises SonarjaxError, and leaves a file as it was, where a block cannot be filled.
+    """
+    texts = {page: _read(page) for page in pages}
+    for name in dict.fromkeys(name for text in texts.values() for name in BEGIN.findall(text)):
+        if name != baseline.NAME and has_run(runs, name):
+            keep(name, runs, kept)
+    for page, text in texts.items():
+        write_text(page, with_blocks(text, page, kept))
+
+
+def keep(name: str, runs: Path, kept: Path) -> None:
+    """Copy the results of an experiment, over all seeds that were run. Raises SonarjaxError for a smoke run."""
+    run = load(runs, name)
+    if run.smoke:
+        raise SonarjaxError(f"{run.folder}: a run of preset smoke is nothing for README; run {command(name)}")
+    kept.mkdir(parents=True, exist_ok=True)
+    write_text(kept / f"{name}.json", json.dumps(_rounded(of_all_seeds(run)), indent=1) + "\n")
+
+
+def with_blocks(text: str, page: Path, kept: Path = KEPT) -> str:
+    """The text of a page with all its blocks made anew from the results that are kept."""
+    for name in BEGIN.findall(text):
+        text = filled(text, name, block(name, kept), page)
+    return text
+
+
+def block(name: str, kept: Path = KEPT) -> str:
+    """An experiment's table, over all seeds that were run, and where it comes from.
+
+    Raises SonarjaxError where its results are not kept.
+    """
+    if name == baseline.NAME:
+        return baseline.table(kept)
     try:
-        text = path.read_text(encoding="utf-8")
+        reports = json.loads((kept / f"{name}.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise SonarjaxError(f"{kept / name}.json: expected the results of {command(name)}: {error}") from error
+    return f"{spaced(own_table(name, combined(reports, mean_and_spread)))}\n\n*{origin(reports)}*"
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
     except OSError as error:
         raise SonarjaxError(f"{path}: cannot be read: {error.strerror}") from error
-    for name in dict.fromkeys((*NEEDED, *BEGIN.findall(text))):
-        text = filled(text, name, block(name, runs), path)
-    write_text(path, text)
+
+
+def _rounded(value: Any) -> Any:
+    """Floats to six digits: more than any table shows, and fewer bytes."""
+    if isinstance(value, dict):
+        return {key: _rounded(one) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_rounded(one) for one in value]
+    return float(f"{value:.6g}") if isinstance(value, float) else value
 
 
 def filled(text: str, name: str, content: str, path: Path) -> str:
@@ -41,18 +93,6 @@ def filled(text: str, name: str, content: str, path: Path) -> str:
         raise SonarjaxError(f"{path}: expected one line {begin} and below it one line {end}")
     first, last = lines.index(begin), lines.index(end)
     return "\n".join([*lines[: first + 1], "", content, "", *lines[last:]])
-
-
-def block(name: str, runs: Path) -> str:
-    """An experiment's table, over all seeds that were run, and where it comes from.
-
-    Raises SonarjaxError without a full run.
-    """
-    run = load(runs, name)
-    if run.smoke:
-        raise SonarjaxError(f"{run.folder}: a run of preset smoke is nothing for README; run {command(name)}")
-    reports = of_all_seeds(run)
-    return f"{spaced(own_table(name, combined(reports, mean_and_spread)))}\n\n*{origin(reports)}*"
 
 
 def of_all_seeds(run: Run) -> list[dict[str, Any]]:

@@ -27,9 +27,11 @@ import pytest
 from jaxtyping import Array, Float, Int
 
 import sonarjax
+from paper_figs import readme
 
 PROJECT = Path(__file__).resolve().parents[1]
-README = (PROJECT / "README.md").read_text(encoding="utf-8")
+PAGES = [PROJECT / "README.md", *sorted((PROJECT / "docs").glob("*.md"))]
+README = PAGES[0].read_text(encoding="utf-8")
 AXES = re.compile(r"""(?:Float|Int|UInt|Bool|Num|Shaped|Real|Inexact|Complex|Key)\d*\[[^\]"']*["']([^"']*)["']""")
 UNITS = {
     "m": re.compile(
@@ -287,6 +289,35 @@ def lacks(text: str, name: str) -> list[str]:
 @pytest.mark.parametrize("name", sorted(set(MARKED.findall(README))))
 def test_block_of_readme_is_filled(name: str) -> None:
     assert lacks(README, name) == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_tables_are_made_of_the_results_that_are_kept(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert readme.with_blocks(text, page) == text
+
+
+BLOCKS = re.compile(r"^<!-- (\w+):begin -->\n.*?^<!-- \1:end -->$", re.MULTILINE | re.DOTALL)
+CODE = re.compile(r"^```.*?^```$|`[^`\n]*`", re.MULTILINE | re.DOTALL)
+MEASURED = re.compile(r"(?<![\d.-])\d+\.\d+(?!\.?\d)|\b\d+ ?(?:%|ms\b|s a frame|times as)")
+# Of the method, not of a run: version numbers, settings, and what the real data's own README says of its truth.
+SETTINGS = {"README.md": {"3.11", "0.25"}, "results.md": {"0.2", "95 %", "90 %"}, "speed.md": {"0.10"}}
+
+
+def typed_numbers(text: str) -> set[str]:
+    """Numbers of a Markdown text that look measured and stand outside of the tables that are made, and of code."""
+    return set(MEASURED.findall(CODE.sub("", BLOCKS.sub("", text))))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_no_measured_number_is_typed_by_hand(page: Path) -> None:
+    assert typed_numbers(page.read_text(encoding="utf-8")) - SETTINGS.get(page.name, set()) == set()
+
+
+def test_typed_numbers_are_seen() -> None:
+    text = "It takes 0.5 s and 43 ms, is right in 98 % and 3 times as fast; `0.7`, version 0.1.0\n"
+    text += "\n<!-- a:begin -->\n0.9\n<!-- a:end -->\n"
+    assert typed_numbers(text) == {"0.5", "43 ms", "98 %", "3 times as"}
 
 
 BLOCK = "<!-- a:begin -->\n\n| x |\n| --- |\n| 1 |\n\n*`python -m experiments.a --n 1`, seed 0*\n\n<!-- a:end -->\n"

@@ -18,7 +18,7 @@ from skimage.io import imread
 from experiments import evaluate_segmenters, fit_threshold, reproduce_paper
 from experiments.common import paper
 from experiments.common.tables import correlation_table, receiver_curve
-from paper_figs import index, readme, report, style
+from paper_figs import baseline, index, readme, report, style
 from paper_figs.__main__ import main
 from paper_figs.shared import load
 from sonarjax.io import SonarjaxError, write_npz
@@ -204,7 +204,7 @@ def test_every_item_has_a_script() -> None:
 
 
 def test_every_script_is_indexed_and_every_row_has_a_script(runs: Path) -> None:
-    others = {"__init__", "__main__", "index", "matrix", "readme", "report", "shared", "solid", "style"}
+    others = {"__init__", "__main__", "baseline", "index", "matrix", "readme", "report", "shared", "solid", "style"}
     files = {path.stem for path in (PROJECT / "paper_figs").glob("*.py")}
     assert files - others == set(index.scripts())
     shown = {cells[1].strip("`") for cells in index.rows(runs)}
@@ -478,31 +478,41 @@ def test_tables_keep_an_empty_line_around_them() -> None:
 
 def test_readme_is_filled_between_its_markers(runs: Path, tmp_path: Path) -> None:
     path = tmp_path / "README.md"
-    path.write_text(MARKED.format(*readme.NEEDED), encoding="utf-8")
-    readme.update(path, runs)
+    path.write_text(MARKED.format("reproduce_paper", "evaluate_segmenters"), encoding="utf-8")
+    readme.update((path,), runs, tmp_path / "kept")
     text = path.read_text(encoding="utf-8")
     assert text.startswith("before\n") and text.endswith("after\n") and "of last year" not in text
     assert "| pix2pix |" in text and "seed 0; 2020-02-02, commit 0123456789" in text
     assert not re.search(r"^[^|\n].*\n\|", text, re.MULTILINE)  # an empty line before each table
-    readme.update(path, runs)
+    readme.update((path,), tmp_path / "no runs", tmp_path / "kept")  # from what is kept
     assert path.read_text(encoding="utf-8") == text
+    assert readme.with_blocks(text.replace("| pix2pix |", "| pix3pix |"), path, tmp_path / "kept") == text
 
 
-@pytest.mark.parametrize("broken", ["nothing", "<!-- reproduce_paper:end -->\n<!-- reproduce_paper:begin -->"])
-def test_readme_without_markers_is_left_alone(runs: Path, tmp_path: Path, broken: str) -> None:
-    path = tmp_path / "README.md"
+def test_a_page_with_one_marker_is_left_alone(runs: Path, tmp_path: Path) -> None:
+    path, broken = tmp_path / "README.md", "<!-- reproduce_paper:end -->\n<!-- reproduce_paper:begin -->"
     path.write_text(broken, encoding="utf-8")
     with pytest.raises(SonarjaxError, match="expected one line <!-- reproduce_paper:begin -->"):
-        readme.update(path, runs)
+        readme.update((path,), runs, tmp_path / "kept")
     assert path.read_text(encoding="utf-8") == broken
 
 
+def test_before_and_after_stand_side_by_side(tmp_path: Path) -> None:
+    numbers = {"rows": [{"rms": 0.25}, {"rms": 0.5}, {"rms": 1.0}]}
+    compared = {"refine_accuracy": baseline.COMPARED["refine_accuracy"]}
+    (tmp_path / "baseline_f99308b.json").write_text(json.dumps({"refine_accuracy": numbers}), encoding="utf-8")
+    numbers["rows"][1]["rms"] = 0.75
+    (tmp_path / "refine_accuracy.json").write_text(json.dumps([numbers]), encoding="utf-8")
+    table = baseline.table(tmp_path, compared)
+    assert "| 0.250 | 0.250 |" in table and "| 0.500 | 0.750 |" in table
+
+
 def test_readme_takes_full_runs_only(tmp_path: Path, rng: np.random.Generator) -> None:
-    with pytest.raises(SonarjaxError, match="no finished run"):
-        readme.block("evaluate_segmenters", tmp_path)
+    with pytest.raises(SonarjaxError, match="expected the results of"):
+        readme.block("evaluate_segmenters", tmp_path / "kept")
     make_segmenters(tmp_path, rng, preset="smoke")
     with pytest.raises(SonarjaxError, match="preset smoke"):
-        readme.block("evaluate_segmenters", tmp_path)
+        readme.keep("evaluate_segmenters", tmp_path, tmp_path / "kept")
 
 
 @pytest.mark.parametrize("preset", ["full", "smoke"])
