@@ -36,8 +36,7 @@ from experiments.common.metrics import columns, yaw_error_deg
 from experiments.common.runs import Job, code_digest
 from experiments.common.scores import target
 from experiments.common.stream import WAYS, Finder, Named, frames_of, picture, seconds_of, taken_up, turning
-from sonarjax.cli import SCHEMA
-from sonarjax.cli import _record as to_json
+from sonarjax.cli import SCHEMA, record_of
 from sonarjax.io import JsonLines, SonarjaxError
 from sonarjax.plot import save_figure
 from sonarjax.sensor import SensorModel
@@ -162,7 +161,7 @@ def _record(finder: Finder, label: str, frame: Any, seen: set[bool]) -> dict[str
     warm = tracked in seen
     seen.add(tracked)
     more = {"tracked": tracked, "warm": warm, "time_s": seconds_of(frame.meta)}
-    return to_json(result, label, seconds) | more | {"true_yaw_deg": frame.meta.get("true_yaw_deg")}
+    return record_of(result, label, seconds) | more | {"true_yaw_deg": frame.meta.get("true_yaw_deg")}
 
 
 def summed_up(arrays: dict[str, np.ndarray]) -> dict[str, Any]:

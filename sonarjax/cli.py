@@ -281,7 +281,7 @@ def _recognize(args: argparse.Namespace) -> int:
                     raise frame
                 started = time.perf_counter()
                 found = recognizer(frame.image, frame.mask, threshold=args.threshold)
-                record = _record(found, frame.source, time.perf_counter() - started)
+                record = record_of(found, frame.source, time.perf_counter() - started)
             except BrokenPipeError:
                 raise
             except Exception as error:  # whatever one frame does to us, the others are still to be recognized
@@ -292,7 +292,7 @@ def _recognize(args: argparse.Namespace) -> int:
     return code
 
 
-def _record(result: Lazy, frame: str, seconds: float) -> dict[str, Any]:
+def record_of(result: Lazy, frame: str, seconds: float) -> dict[str, Any]:
     """One line of the results file of a Recognition: angles in degrees in [0, 360), lengths in metres."""
 
     def degrees(angle: float | None) -> float | None:

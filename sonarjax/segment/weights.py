@@ -26,6 +26,8 @@ from sonarjax.segment.generator import Generator, to_grey
 
 Storage = Literal["float16", "float32"]
 """How kernels are stored: weights are about 0.02, where float16 has eight times the precision of bfloat16."""
+INPUT = "grey in [0, 1], 128 x 128, range x beam; shadow 0, background 0.5, highlight 1 out"
+"""What a network takes and gives, as its file says it."""
 SHIPPED = "weights"
 """Folder of the package, beside this file, that holds the shipped network."""
 

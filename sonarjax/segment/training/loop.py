@@ -22,6 +22,7 @@ from tqdm import tqdm
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.segment.step import GanState, create_state
+from sonarjax.segment.tiled import TILE
 from sonarjax.segment.training.batches import Batches, Stored, validation_set
 from sonarjax.segment.training.checkpoint import Checkpoints
 from sonarjax.segment.training.devices import (
@@ -39,7 +40,7 @@ from sonarjax.segment.training.journal import Journal
 from sonarjax.segment.training.recipes import Recipe, find_recipe
 from sonarjax.segment.training.run import open_run, versions
 from sonarjax.segment.training.signals import StopWish
-from sonarjax.segment.weights import save_generator
+from sonarjax.segment.weights import INPUT, save_generator
 
 WEIGHTS = "weights.safetensors"
 FIRST_WEIGHTS, DROPOUT = 11, 12  # what is folded into the seed's key; pairs have 1 to 3
@@ -183,6 +184,8 @@ class _Run:
                 "versions": versions(),
                 "metrics": self.metrics,
                 "step": self.step,
+                "tile": TILE,
+                "input": INPUT,
             }
             save_generator(path, weights, about)
         return path
