@@ -23,6 +23,8 @@ from sonarjax.io import SonarjaxError, write_text
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
 KEPT = ROOT / "docs" / "results"
 """Folder of the results behind the tables, a file for each experiment: a list of reports, one for each seed."""
+LEFT_OUT = ("per_frame", "sheets")
+"""Parts of reports that no table shows, and that are large."""
 BEGIN = re.compile(r"^<!-- (\w+):begin -->$", re.MULTILINE)
 
 
@@ -44,8 +46,9 @@ def keep(name: str, runs: Path, kept: Path) -> None:
     run = load(runs, name)
     if run.smoke:
         raise SonarjaxError(f"{run.folder}: a run of preset smoke is nothing for README; run {command(name)}")
+    reports = [{key: value for key, value in report.items() if key not in LEFT_OUT} for report in of_all_seeds(run)]
     kept.mkdir(parents=True, exist_ok=True)
-    write_text(kept / f"{name}.json", json.dumps(_rounded(of_all_seeds(run)), indent=1) + "\n")
+    write_text(kept / f"{name}.json", json.dumps(_rounded(reports), indent=1) + "\n")
 
 
 def with_blocks(text: str, page: Path, kept: Path = KEPT) -> str:
