@@ -22,6 +22,7 @@ from sonarjax.data.shapes import remove_walls, shape_mesh
 from sonarjax.data.views import draw_view
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.records import record
 from sonarjax.render import RenderQuality
 from sonarjax.scene import Pose
 from sonarjax.sensor import SensorModel, observe, render_bounces
@@ -49,8 +50,7 @@ class PairSettings:
     """Elevation cells of the energy integral, as in `render`."""
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@record
 class Pairs:
     """Images and their labels."""
 

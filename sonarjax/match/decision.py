@@ -5,7 +5,6 @@ Takes scores (yaw,) and yaws (yaw,) [rad], returns frozen records. All of it run
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -14,9 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from sonarjax.records import record
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+
+@record
 class Decision:
     """Eq. 5: is it the target, and at which yaw bin."""
 
@@ -30,8 +30,7 @@ class Decision:
     """Yaw of that bin [rad]."""
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@record
 class Peaks:
     """Hypotheses of yaw, best first; entries beyond the last one are padding."""
 

@@ -8,7 +8,6 @@ finite where measured. A batch of frames is one `jax.vmap`.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -31,6 +30,7 @@ from sonarjax.match.spectra import (
     unit_templates,
 )
 from sonarjax.match.windows import window_moments
+from sonarjax.records import record
 
 AnyArray = Array | np.ndarray
 
@@ -46,8 +46,7 @@ class MatchPositions(NamedTuple):
     """Beam of the best window's first column."""
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@record
 class PreparedBank:
     """A bank with its spectra kept: matching many frames with it costs half."""
 

@@ -8,7 +8,6 @@ CPU cores both together are up to twice as fast as one batched real transform of
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import Any
 
 import jax
@@ -16,6 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float
 
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.records import record, static
 
 CHUNK_BYTES = {"cpu": 5 << 19, "gpu": 1 << 28, "tpu": 1 << 28}
 """Spectra worked on at once [bytes]: about two cores' second-level caches, or enough for an accelerator."""
@@ -24,8 +24,7 @@ CONSTANT_TEMPLATE = 1e-10
 """A template whose variance is below this share of its mean square is constant: it scores 0."""
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@record
 class TemplateSpectra:
     """Spectra of a bank's templates, centred and scaled to unit norm, in chunks of packed pairs."""
 
@@ -35,11 +34,11 @@ class TemplateSpectra:
     """The same of the squared templates, which masked matching needs; None if it was not asked for."""
     echoes: Complex[Array, "*batch chunk pair range beam"] | None
     """The same of their highlight alone, scaled to sum 1; None as `squares`."""
-    yaw_count: int = field(metadata={"static": True})
+    yaw_count: int = static()
     """Number of templates; the planes may hold a few empty ones more."""
-    template_shape: tuple[int, int] = field(metadata={"static": True})
+    template_shape: tuple[int, int] = static()
     """Height and width of a template [range bins, beams]."""
-    image_shape: tuple[int, int] = field(metadata={"static": True})
+    image_shape: tuple[int, int] = static()
     """Shape of the frames that they serve [range bins, beams]."""
 
     @property

@@ -7,7 +7,7 @@ that is sharded over devices gives the step of one device.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float, UInt8
 
+from sonarjax.records import record, static
 from sonarjax.segment.discriminator import Discriminator
 from sonarjax.segment.generator import Generator, Head, to_grey
 from sonarjax.segment.initial import draw_variables
@@ -88,8 +89,7 @@ class GanConfig:
         return optax.adam(self.learning_rate, self.beta1, self.beta2)
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@record
 class GanState:
     """Everything that training carries from step to step; a pytree with `config` static."""
 
@@ -109,7 +109,7 @@ class GanState:
     """Exponential average of `generator`."""
     ema_stats: Any
     """The same average of `batch_stats`: the statistics that belong to `ema`, and less noisy ones."""
-    config: GanConfig = field(metadata={"static": True})
+    config: GanConfig = static()
     """What was asked for."""
 
     def weights(self) -> dict[str, Any]:
@@ -138,8 +138,7 @@ def create_state(config: GanConfig, *, key: Array) -> GanState:
     )
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@record
 class Gradients:
     """What a step finds before the generator moves; a pytree."""
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from functools import partial
 from importlib import resources
 from pathlib import Path
@@ -22,6 +21,7 @@ from jaxtyping import Array, Float
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.safetensors import read_safetensors, write_safetensors
+from sonarjax.records import record, static
 from sonarjax.segment.generator import Generator, to_grey
 
 Storage = Literal["float16", "float32"]
@@ -32,14 +32,13 @@ SHIPPED = "weights"
 """Folder of the package, beside this file, that holds the shipped network."""
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@record
 class GeneratorWeights:
     """A generator ready for use; a pytree, with the network's shape static."""
 
     variables: Any
     """Parameters and running statistics, for `module.apply`."""
-    module: Generator = field(metadata={"static": True})
+    module: Generator = static()
     """The network."""
 
 

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 
+from sonarjax.records import record
+
 Scalar = Any
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@record
 class SensorModel:
     """How a device turns energy into an image; every field is a float, or an array of one batch shape for `jax.vmap`.
 

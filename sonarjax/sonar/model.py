@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
+
+from sonarjax.records import record
 
 Scalar = Any
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@record
 class FloorPatch:
     """A rectangular platform at z = 0 instead of an endless floor; lengths [m], angles [rad] in the ground frame."""
 
@@ -30,8 +30,7 @@ class FloorPatch:
     """Rotation about the vertical [rad]."""
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@record
 class Sonar:
     """An imaging sonar at (0, 0, height), tilted down by `tilt`; a pytree, differentiable in every float.
 
