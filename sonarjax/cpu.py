@@ -35,7 +35,8 @@ MIN_COMPILE_SECONDS = 0.2
 # compilers know the flag no more, and end the process that gives it.
 FLAGS = ("--xla_cpu_use_fusion_emitters=false",) if jax.__version_info__ < (0, 11) else ()
 COMPILER_OPTIONS = {"xla_backend_optimization_level": 1, "xla_llvm_disable_expensive_passes": True}
-"""How the programs of `CpuEngine` are compiled: in four fifths of the time, and no slower."""
+"""How the programs of `CpuEngine` are compiled: in four fifths of the time; their own speed is
+the same as far as two busy cores can tell."""
 # <malloc.h>: M_ARENA_MAX, M_MMAP_MAX, M_TRIM_THRESHOLD and M_TOP_PAD.
 _MEMORY = {-8: 1, -4: 0, -1: 2**31 - 1, -2: 256 * 2**20}
 _CACHE = "jax_compilation_cache_dir"
