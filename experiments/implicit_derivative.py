@@ -108,7 +108,9 @@ def check_frame(settings: Settings, kind: str, number: int, seed: int) -> dict[s
     key = jax.random.fold_in(jax.random.key(seed), number)
     image, other, start = draw_frame(kind, settings.tilt_deg, key)
     config = config_of(settings, kind)
-    window = sj.plan_refinement(target(), sonar_for(settings.tilt_deg), sj.Pose(GROUND_RANGE_M[20.0] - 0.2), config)
+    window = sj.plan_refinement(
+        target(), sonar_for(settings.tilt_deg), sj.Pose(GROUND_RANGE_M[settings.tilt_deg] - 0.2), config
+    )
     steps = np.array(list(STEPS.values()), np.float32)
     given = image, other, start, settings.tilt_deg
     here, determined = solve(jnp.zeros(5), *given, config=config, window=window)

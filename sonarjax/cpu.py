@@ -13,8 +13,9 @@ import os
 import platform
 import sys
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -137,29 +138,29 @@ class CpuEngine(Engine):
         with self._lock:
             known = self._programs.get(key)
             program: Future[Any] = known or self._programs.setdefault(key, Future())
-        if known is not None:
-            return leaves, program
-
-        def finish(make: Callable[[], Any]) -> Any:
-            try:
-                return make()
-            except BaseException as error:
-                self._programs.pop(key)
-                program.set_exception(error)
-
-        def compile_it() -> None:
-            if lowered is not None:
-                finish(lambda: program.set_result(lowered.compile(compiler_options=COMPILER_OPTIONS)))
-
-        assert self._folder is not None
-        folder = self._folder
-        lowered = finish(lambda: _lowered(function, jax.tree.unflatten(tree, leaves), static, folder))
-        if wait:
-            compile_it()
-        else:
-            # No daemon: a compiler that is cut off while the interpreter ends takes the process down with it.
-            threading.Thread(target=compile_it).start()
+        if known is None:
+            with self._told(key, program):
+                assert self._folder is not None
+                lowered = _lowered(function, jax.tree.unflatten(tree, leaves), static, self._folder)
+                if wait:
+                    self._compile(key, program, lowered)
+                else:
+                    # No daemon: a compiler that is cut off while the interpreter ends takes the process down with it.
+                    threading.Thread(target=self._compile, args=(key, program, lowered)).start()
         return leaves, program
+
+    def _compile(self, key: Any, program: Future[Any], lowered: Any) -> None:
+        with self._told(key, program):
+            program.set_result(lowered.compile(compiler_options=COMPILER_OPTIONS))
+
+    @contextmanager
+    def _told(self, key: Any, program: Future[Any]) -> Iterator[None]:
+        """Whoever waits for a program is told why there is none; the next call tries again."""
+        try:
+            yield
+        except BaseException as error:
+            self._programs.pop(key, None)
+            program.set_exception(error)
 
     def map(self, function: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
         """As `Engine.map`, with a thread for each core; each waits for its results."""

@@ -7,6 +7,7 @@ linear model inside a trust region, which costs next to nothing beside a render.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -97,7 +98,8 @@ def coarse_to_fine(problem: Problem, search: Search) -> Solution:
         blur = jax.tree.map(lambda v: v[state.level], ladder)
         solution, first = state.solution, state.solution.renders == 0
         layers, slopes = layers_with_slope(replace(problem.subject, views=solution.views), state.step)
-        views = jnp.where(first & either, _better_template(problem, layers, search), solution.views)
+        choose = partial(_better_template, problem, layers, search)
+        views = jax.lax.cond(first & either, choose, lambda: solution.views)
         subject = replace(problem.subject, views=views)
         drawn, slope = paint_with_slope(subject, layers, slopes, state.step[POSE])
         # Here rather than before the loop, which would compile the renderer twice.
