@@ -1,4 +1,4 @@
-"""The command `sonarjax`: render, segment, recognize, train, info. Takes arguments, returns an exit code.
+"""The command `sonarjax`: render, segment, recognize, train, info, convert. Takes arguments, returns an exit code.
 
 Exit codes: 0 done, identified or not; 1 a frame could not be read (the batch goes on); 2 arguments, mesh, TOML or
 output that cannot be used; 130 interrupted. A wrong input gives one line on stderr. What only one command needs, such
@@ -16,8 +16,10 @@ import re
 import sys
 import time
 from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import Any, NoReturn
 
+from sonarjax.io import FAN_OPTIONS
 from sonarjax.segment import DEFAULT_SEGMENTER, SEGMENTERS
 
 MAX_SUB_BEAMS = 64
@@ -68,7 +70,7 @@ class _Parser(argparse.ArgumentParser):
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="sonarjax", description="Imaging-sonar simulation and recognition of objects with their yaw.")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for add in (_add_render, _add_segment, _add_recognize, _add_train, _add_info):
+    for add in (_add_render, _add_segment, _add_recognize, _add_train, _add_info, _add_convert):
         add(commands)
     return parser
 
@@ -97,8 +99,9 @@ def _add_render(commands: Any) -> None:
     )  # fmt: skip
     _add_unit(command)
     command.add_argument(
-        "--sub-beams", metavar="N", type=_sub_beams, help=f"azimuth parts of a beam, 1 to {MAX_SUB_BEAMS} (default: 2)"
-    )
+        "--sub-beams", metavar="N", type=partial(_count, high=MAX_SUB_BEAMS),
+        help=f"azimuth parts of a beam, 1 to {MAX_SUB_BEAMS} (default: 2)",
+    )  # fmt: skip
 
 
 def _add_segment(commands: Any) -> None:
@@ -151,6 +154,16 @@ def _add_info(commands: Any) -> None:
     command.add_argument("file", metavar="FILE", help=f"{_FRAME_HELP}, a sonar.toml, or a weights.safetensors")
 
 
+def _add_convert(commands: Any) -> None:
+    command = commands.add_parser("convert", help="a fan picture as a polar frame, and back", epilog=_EXITS)
+    command.set_defaults(run=_convert)
+    command.add_argument("file", metavar="FILE", help="a fan picture, or a polar frame: " + _FRAME_HELP)
+    command.add_argument("--out", metavar="OUT", required=True, help="POLAR.npz or FAN.png: its ending says which way")
+    for option, (metavar, text) in FAN_OPTIONS.items():
+        value = {"metavar": metavar, "type": _count if metavar == "N" else _number}
+        command.add_argument(option, help=text, **(value if metavar else {"action": "store_true"}))
+
+
 def _add_unit(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--unit-m", metavar="M", type=_number, help="length of the mesh file's unit [m], such as 0.001 for millimetres"
@@ -165,8 +178,8 @@ def _correlation(text: str) -> float:
     return _limited(text, -1.0, 1.0)
 
 
-def _sub_beams(text: str) -> int:
-    number = _limited(text, 1.0, float(MAX_SUB_BEAMS))
+def _count(text: str, high: int = 65536) -> int:
+    number = _limited(text, 1.0, float(high))
     if number != int(number):
         raise argparse.ArgumentTypeError(f"expected a whole number, got {text!r}")
     return int(number)
@@ -224,7 +237,7 @@ def _write_frame(path: str, frame: Lazy, sonar: Lazy) -> None:
 
 
 def _segment(args: argparse.Namespace) -> int:
-    from sonarjax.io import SonarjaxError, check_label_files, write_npz
+    from sonarjax.io import SonarjaxError, check_label_files, make_folder, naming, write_npz
 
     check_label_files(args.out_dir, args.frames)
     _start_jax()
@@ -233,7 +246,7 @@ def _segment(args: argparse.Namespace) -> int:
     from sonarjax.segment import load_segmenter
 
     segmenter, engine = load_segmenter(), CpuEngine()
-    _make_folder(args.out_dir)
+    make_folder(args.out_dir)
     code, written = 0, dict[str, str]()
     for name, frame in _each_frame(args.frames):
         try:
@@ -243,7 +256,7 @@ def _segment(args: argparse.Namespace) -> int:
         except BrokenPipeError:
             raise
         except Exception as error:  # whatever one frame does to us, the others are still to be segmented
-            _complain(_naming(name, error))
+            _complain(naming(name, error))
             code = 1
             continue
         if written.setdefault(frame.stem, name) != name:
@@ -254,7 +267,7 @@ def _segment(args: argparse.Namespace) -> int:
 
 
 def _recognize(args: argparse.Namespace) -> int:
-    from sonarjax.io import JsonLines, SonarjaxError, check_outputs
+    from sonarjax.io import JsonLines, SonarjaxError, check_outputs, naming
 
     check_outputs({"--out": args.out}, (*args.frames, args.target, args.sonar))
     _start_jax()
@@ -272,7 +285,7 @@ def _recognize(args: argparse.Namespace) -> int:
     try:  # a sonar that sees no floor, or too much, is refused before any frame is read
         recognizer = Recognizer(mesh, sonar, segmenter=args.segmenter, refine=refine, engine=CpuEngine())
     except SonarjaxError as error:
-        raise SonarjaxError(_naming(args.sonar, error)) from error
+        raise SonarjaxError(naming(args.sonar, error)) from error
     code = 0
     with JsonLines(args.out) as lines:
         for name, frame in _each_frame(args.frames):
@@ -285,7 +298,7 @@ def _recognize(args: argparse.Namespace) -> int:
             except BrokenPipeError:
                 raise
             except Exception as error:  # whatever one frame does to us, the others are still to be recognized
-                record = {"frame": name, "error": _naming(name, error), "schema": SCHEMA}
+                record = {"frame": name, "error": naming(name, error), "schema": SCHEMA}
                 _complain(record["error"])
                 code = 1
             lines.write(record)
@@ -352,6 +365,20 @@ def _info(args: argparse.Namespace) -> int:
     return 0
 
 
+def _convert(args: argparse.Namespace) -> int:
+    from sonarjax.io import FanOptions, SonarjaxError, check_outputs, convert, one_frame
+
+    check_outputs({"--out": args.out}, (args.file,))
+    try:
+        frame = one_frame(args.file)
+    except SonarjaxError as error:
+        _complain(str(error))
+        return 1
+    options = FanOptions(**{name: getattr(args, name) for name in FanOptions.__dataclass_fields__})
+    _say(convert(frame, args.out, options))
+    return 0
+
+
 def _each_frame(specs: Sequence[str]) -> Iterator[tuple[str, Lazy]]:
     """Name and io.Frame of every frame in the order given; for one that cannot be read, the exception that says why.
 
@@ -383,30 +410,6 @@ def _start_jax() -> None:
     from sonarjax import cpu
 
     cpu.tune()
-
-
-def _make_folder(path: str) -> None:
-    """Make a folder and its parents. Raises SonarjaxError when that cannot be."""
-    from sonarjax.io import SonarjaxError
-
-    try:
-        os.makedirs(path, exist_ok=True)
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else str(error)
-        raise SonarjaxError(f"{path!r}: cannot be used as a folder for output: {reason}") from error
-
-
-def _naming(name: str, error: Exception) -> str:
-    """The error's message, opened by the frame's name where it does not name the file itself.
-
-    An exception that is not ours is named too: its message alone seldom says what happened.
-    """
-    from sonarjax.io import SonarjaxError, split_spec
-
-    message = " ".join(str(error).split())
-    if not isinstance(error, SonarjaxError):
-        return f"{name}: {type(error).__name__}: {message}".removesuffix(": ")
-    return message if message.startswith(split_spec(name)[0]) else f"{name}: {message}"
 
 
 def _complain(message: str, kind: str = "error: ") -> None:

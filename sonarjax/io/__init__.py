@@ -8,32 +8,47 @@ azimuth (to port), with mask, geometry [m, deg] and what else the header says. E
 from sonarjax.io.aris import parse_aris
 from sonarjax.io.aris_beams import aris_azimuth_deg
 from sonarjax.io.atomic import write_atomic, write_npz, write_png, write_text
+from sonarjax.io.convert import FAN_OPTIONS, FanOptions, convert, one_frame
 from sonarjax.io.describe import describe
 from sonarjax.io.didson import DIDSON_TABLES, DidsonTables, didson_azimuth_deg, parse_didson
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.fan import fan_to_polar, polar_to_fan
+from sonarjax.io.fan_geometry import FanGeometry, PictureBox, content_box, fan_around, fit_fan
 from sonarjax.io.files import read_bytes
 from sonarjax.io.frame import Frame
 from sonarjax.io.images import parse_npy_frame, parse_npz_frame, parse_png_frame
 from sonarjax.io.jsonlines import JsonLines
-from sonarjax.io.load import iter_frames, read_frames, split_spec
+from sonarjax.io.load import iter_frames, naming, read_frames, split_spec
 from sonarjax.io.npy import PIXEL_LIMIT
 from sonarjax.io.oculus import parse_oculus
-from sonarjax.io.outputs import check_label_files, check_outputs
+from sonarjax.io.outputs import check_label_files, check_outputs, make_folder
 from sonarjax.io.toml import parse_toml, read_toml
 
 __all__ = [
     "DIDSON_TABLES",
     "DidsonTables",
+    "FAN_OPTIONS",
+    "FanGeometry",
+    "FanOptions",
     "Frame",
     "JsonLines",
     "PIXEL_LIMIT",
+    "PictureBox",
     "SonarjaxError",
     "aris_azimuth_deg",
     "check_label_files",
     "check_outputs",
+    "content_box",
+    "convert",
     "describe",
     "didson_azimuth_deg",
+    "fan_around",
+    "fan_to_polar",
+    "fit_fan",
     "iter_frames",
+    "make_folder",
+    "naming",
+    "one_frame",
     "parse_aris",
     "parse_didson",
     "parse_npy_frame",
@@ -41,6 +56,7 @@ __all__ = [
     "parse_oculus",
     "parse_png_frame",
     "parse_toml",
+    "polar_to_fan",
     "read_bytes",
     "read_frames",
     "read_toml",

@@ -44,6 +44,17 @@ def split_spec(spec: str | os.PathLike[str]) -> tuple[str, int | None]:
     return match[1], int(match[2])
 
 
+def naming(name: str, error: Exception) -> str:
+    """The error's message, opened by the frame's `name` where it does not name the file itself.
+
+    An exception that is not ours is named too: its message alone seldom says what happened.
+    """
+    message = " ".join(str(error).split())
+    if not isinstance(error, SonarjaxError):
+        return f"{name}: {type(error).__name__}: {message}".removesuffix(": ")
+    return message if message.startswith(split_spec(name)[0]) else f"{name}: {message}"
+
+
 def iter_frames(spec: str | os.PathLike[str]) -> Iterator[Frame]:
     """Yield the frames (range, beam) of `path` one by one, or the one of `path:N` (N from 0).
 

@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.files import reason
 from sonarjax.io.load import RECORDINGS, split_spec
 
 
@@ -25,6 +26,14 @@ def check_outputs(outputs: Mapping[str, str | None], inputs: Iterable[str]) -> N
         for other, taken in given[:number]:
             if same_file(path, taken):
                 raise SonarjaxError(f"{option}: {path!r} is also {other}: expected another file")
+
+
+def make_folder(path: str) -> None:
+    """Make a folder for output and its parents. Raises SonarjaxError when that cannot be."""
+    try:
+        os.makedirs(path, exist_ok=True)
+    except (OSError, ValueError) as error:
+        raise SonarjaxError(f"{path!r}: cannot be used as a folder for output: {reason(error)}") from error
 
 
 def check_label_files(folder: str, specs: Sequence[str]) -> None:

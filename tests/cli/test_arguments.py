@@ -10,7 +10,7 @@ import pytest
 from sonarjax.segment import SEGMENTERS
 
 ROOT = Path(__file__).parents[2]
-COMMANDS = ("render", "segment", "recognize", "train", "info")
+COMMANDS = ("render", "segment", "recognize", "train", "info", "convert")
 RENDER = ["render", "m.stl", "--sonar", "s.toml", "--x", "2", "--y", "0", "--yaw-deg", "0", "--out", "f.npz"]
 
 
@@ -33,6 +33,7 @@ def test_help_names_what_the_contract_lists(command, command_name):
         "recognize": ("FRAME", "--target", "--sonar", "--out", "--segmenter", "--no-refine", "--threshold"),
         "train": ("smoke,cpu,paper", "--run-dir", "--resume"),
         "info": ("FILE",),
+        "convert": ("FILE", "--out", "--opening-deg", "--range-min", "--range-max", "--bins", "--beams", "--width"),
     }[command_name]
     assert all(word in out for word in expected)
 

@@ -1,0 +1,160 @@
+"""`sonarjax convert`: a fan picture as a polar frame in an NPZ, or a polar frame as a fan picture in a PNG."""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import dataclass
+
+import numpy as np
+
+from sonarjax.io.atomic import write_npz, write_png
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.fan import fan_to_polar, polar_to_fan
+from sonarjax.io.fan_geometry import PictureBox, content_box, equal_beams, fan_around, fit_fan
+from sonarjax.io.frame import Frame
+from sonarjax.io.load import iter_frames
+
+DARKEST = 1 / 255
+"""Least value of a measured pixel in a fan picture: black is what was not measured, and tells where the sector ends."""
+
+
+@dataclass(frozen=True)
+class FanOptions:
+    """What the command line says of a fan picture; None where it says nothing."""
+
+    opening_deg: float | None = None
+    """Full angle of the fan, to the outer edges of the outer beams [deg]."""
+    range_min: float | None = None
+    """Range at which the fan begins [m]."""
+    range_max: float | None = None
+    """Range at which it ends [m]."""
+    beams: int | None = None
+    """Beams of the polar frame (default: the columns along the fan's arc at mid range)."""
+    bins: int | None = None
+    """Range bins of the polar frame (default: the rows of the fan along its middle)."""
+    apex: float | None = None
+    """Row of the fan picture at which the sonar is (default: found from where the outer beams begin) [pixels]."""
+    whole: bool = False
+    """The picture reaches down to the sonar, which is in the middle of its lower edge."""
+    frame: bool = False
+    """The picture's frame just holds the fan, rather than the bounding box of its pixels above 0."""
+    width: int | None = None
+    """Columns of the fan picture that is made; by default a pixel is as long [m] as a bin or as a beam at mid range."""
+
+
+FAN_OPTIONS = {
+    "--opening-deg": ("D", "full angle of the fan, to the outer edges of the outer beams [deg]"),
+    "--range-min": ("M", "range at which the fan begins [m]"),
+    "--range-max": ("M", "range at which it ends [m]"),
+    "--bins": ("N", "to polar: range bins (default: rows of the fan along its middle)"),
+    "--beams": ("N", "to polar: beams (default: columns along the fan's arc at mid range)"),
+    "--apex": ("ROW", "to polar: row of the picture at which the sonar is (default: from the fan's lower edge)"),
+    "--whole": (None, "to polar: the sonar is at the picture's lower edge"),
+    "--frame": (None, "to polar: the fan just fits into the picture (default: the box of its pixels above 0)"),
+    "--width": ("N", "to fan: columns of the picture (default: pixels as small as a bin and as a beam at mid range)"),
+}
+"""Option of the command line for each field of FanOptions -> what it takes (None: a switch), and its help."""
+SECTOR = ("opening_deg", "range_min", "range_max")
+TO_POLAR = ("beams", "bins", "apex", "whole", "frame")
+TO_FAN = ("width",)
+
+
+def one_frame(spec: str) -> Frame:
+    """The one frame (range, beam) of a file, or of `path:N`; a fan picture comes as its (row, column).
+
+    Raises SonarjaxError as `read_frames` does, and when the file holds several.
+    """
+    frame = next(iter_frames(spec))
+    if frame.source != spec:
+        raise SonarjaxError(f"{spec}: expected one frame, it holds {frame.meta['n_frames']}: give {spec}:N")
+    return frame
+
+
+def convert(frame: Frame, out: str, options: FanOptions = FanOptions()) -> str:
+    """Write `frame`, a fan picture, as a polar frame where `out` ends in .npz, or a polar one as a fan in a .png.
+
+    Returns one line that says what was made. Raises SonarjaxError for another ending, for options that are missing or
+    of the other way, for a picture without a fan, and when `out` cannot be written.
+    """
+    ending = os.path.splitext(out)[1].lower()
+    if ending not in (".npz", ".png"):
+        raise SonarjaxError(f"--out: {out!r}: expected an ending .npz (a polar frame) or .png (a fan picture)")
+    for name in TO_FAN if ending == ".npz" else TO_POLAR:
+        if getattr(options, name) not in (None, False):
+            other = "png" if ending == ".npz" else "npz"
+            raise SonarjaxError(f"{_option(name)}: expected only with a .{other} as --out, got {out!r}")
+    try:
+        return (_to_polar if ending == ".npz" else _to_fan)(frame, out, options)
+    except SonarjaxError as error:  # what is said of a fan or an option is said of this file
+        text = str(error)
+        raise SonarjaxError(f"{frame.source}: {text}" if text.startswith(("fan: ", "--")) else text) from error
+
+
+def _to_polar(picture: Frame, out: str, options: FanOptions) -> str:
+    opening_deg, near, far = _sector(options, "a fan picture")
+    rows, columns = picture.shape
+    box = PictureBox(0.0, float(rows), 0.0, float(columns)) if options.frame else content_box(picture.image)
+    apex = float(rows) if options.whole else options.apex
+    geometry = fit_fan(box, math.radians(opening_deg), near, far, apex)
+    shape = geometry.polar_shape()
+    shape = options.bins or shape[0], options.beams or shape[1]
+    image, mask = fan_to_polar(picture.image, geometry, shape)
+    if not mask.any():
+        raise SonarjaxError("fan: expected some of it in the picture, it lies outside")
+    azimuth_deg, edges = np.degrees(geometry.azimuth(shape[1])), geometry.range_edges(shape[0])
+    write_npz(out, image=image, mask=mask, azimuth_deg=azimuth_deg, range_edges_m=edges)
+    size = f"{shape[0]} range bins x {shape[1]} beams"
+    return f"{out}: {size}, {_told(opening_deg, near, far)}, {mask.mean():.1%} of the pixels measured"
+
+
+def _to_fan(polar: Frame, out: str, options: FanOptions) -> str:
+    azimuth, edges = _axes(polar, options)
+    opening, near, far = _opening(azimuth, options), float(edges[0]), float(edges[-1])
+    pixel = min((far - near) / polar.shape[0], (far + near) / 2 * opening / azimuth.size)
+    if options.width is not None:
+        pixel = 2 * far * math.sin(min(opening, math.pi) / 2) / options.width
+    geometry, shape = fan_around(opening, near, far, pixel)
+    picture, seen = polar_to_fan(polar.image, azimuth, edges, geometry, shape, polar.mask)
+    write_png(out, np.where(seen, np.maximum(picture, DARKEST), 0.0))
+    size = f"{shape[0]} x {shape[1]} pixels"
+    return f"{out}: {size}, {_told(math.degrees(opening), near, far)}, {seen.mean():.1%} of the pixels measured"
+
+
+def _axes(polar: Frame, options: FanOptions) -> tuple[np.ndarray, np.ndarray]:
+    """Beam centres [rad] and range edges [m]: the file's own, else from the options."""
+    held, (bins, beams) = polar.geometry or {}, polar.shape
+    if not {"azimuth_deg", "range_min_m", "range_max_m"} <= set(held):
+        opening_deg, near, far = _sector(options, "a frame without azimuth_deg and range_edges_m")
+        return equal_beams(math.radians(opening_deg), beams), np.linspace(near, far, bins + 1)
+    for name in SECTOR:
+        if getattr(options, name) is not None:
+            raise SonarjaxError(f"{_option(name)}: expected none, the file says it itself")
+    edges = np.linspace(held["range_min_m"], held["range_max_m"], bins + 1)
+    return np.radians(held["azimuth_deg"]), edges
+
+
+def _opening(azimuth: np.ndarray, options: FanOptions) -> float:
+    """Full angle of a fan about the middle beam that holds all beams, each as wide as the outermost [rad]."""
+    if options.opening_deg is not None:
+        return math.radians(options.opening_deg)
+    if azimuth.size == 1:
+        raise SonarjaxError("azimuth_deg: expected two beams or more")
+    outer = 1.5 * azimuth[[0, -1]] - 0.5 * azimuth[[1, -2]]
+    return float(2 * np.abs(outer).max())
+
+
+def _sector(options: FanOptions, what: str) -> tuple[float, float, float]:
+    """Opening [deg], nearest and farthest range [m]; all of them are needed with `what`."""
+    values = [getattr(options, name) for name in SECTOR]
+    if None in values:
+        raise SonarjaxError(f"{_option(SECTOR[values.index(None)])}: expected with {what}")
+    return values[0], values[1], values[2]
+
+
+def _option(field: str) -> str:
+    return "--" + field.replace("_", "-")
+
+
+def _told(opening_deg: float, near: float, far: float) -> str:
+    return f"opening {opening_deg:.4g} deg, range {near:.4g} to {far:.4g} m"

@@ -1,0 +1,207 @@
+"""Fan pictures to polar images and back, by averaging: nothing of the finer grid is skipped.
+
+Polar images have the package's convention: axis 0 is range, near first, axis 1 the beam in ascending azimuth, so column
+0 is starboard-most. `FanGeometry` says where a picture's pixels lie. A cell of the target that covers several of the
+source's pixels takes the mean of as many places in it. Between pixels both ways interpolate: with `order` 3 by a cubic
+spline (the default: it keeps speckle), with 1 linearly (never brighter or darker than the pixels around), with 0 the
+nearest pixel's value is taken as it is: labels stay labels. What was not measured (black corners, a mask) counts as
+what is measured nearest to it, so edges neither darken nor ring.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool, Float, Real, Shaped
+from scipy import ndimage
+
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.fan_geometry import FanGeometry
+from sonarjax.io.npy import PIXEL_LIMIT
+
+LEAST_WEIGHT = 0.01
+"""Share of a cell's interpolation weight that must fall on measured pixels."""
+NEAREST_RANGE = 1 / 8
+"""Share of the largest range: nearer to the sonar, where beams become ever narrower, a pixel's beams are subsampled."""
+MOST_PARTS = 64
+"""Most places along one side of a cell of which a mean is taken."""
+
+Order = Literal[0, 1, 3]
+Places = Iterator[tuple[np.ndarray, np.ndarray]]
+
+
+def fan_to_polar(
+    picture: Shaped[np.ndarray, "row column"],
+    geometry: FanGeometry,
+    shape: tuple[int, int] | None = None,
+    order: Order = 3,
+) -> tuple[Shaped[np.ndarray, "range beam"], Bool[np.ndarray, "range beam"]]:
+    """A fan picture (row, column) as a polar image (range, beam) with its mask (range, beam).
+
+    `shape` is the number of range bins and beams, by default `geometry.polar_shape()`; they divide the sector evenly,
+    as `geometry.range_edges` and `geometry.azimuth` say. The mask is true where the picture shows the cell; elsewhere
+    the image is 0. The image is float32 on the picture's own scale and within its values; with `order` 0 it has the
+    picture's type.
+    Raises SonarjaxError for an empty picture or shape, and more than `PIXEL_LIMIT` cells.
+    """
+    bins, beams = _checked(geometry.polar_shape() if shape is None else shape)
+    _checked(picture.shape)
+    inside = _inside(geometry, picture.shape)
+    parts = (1, 1) if order == 0 else _parts_of_cell(geometry, (bins, beams))
+    return _sample(picture, inside, _places_in_picture(geometry, (bins, beams), parts), (bins, beams), order)
+
+
+def polar_to_fan(
+    image: Shaped[np.ndarray, "range beam"],
+    azimuth: Real[np.ndarray, "beam"],
+    range_edges: Real[np.ndarray, "range_edge"],
+    geometry: FanGeometry,
+    shape: tuple[int, int],
+    mask: Bool[np.ndarray, "range beam"] | None = None,
+    order: Order = 3,
+) -> tuple[Shaped[np.ndarray, "row column"], Bool[np.ndarray, "row column"]]:
+    """A polar image (range, beam) as a fan picture (row, column) of `shape`, with its mask (row, column).
+
+    `azimuth` (beam,) are beam centres in ascending order [rad], `range_edges` (range_edge,) the edges of the range bins
+    [m], `mask` (range, beam) says what was measured (default: all). With the geometry and shape of a picture that
+    `fan_to_polar` took, a map made of it comes back to that picture's pixels. The mask is true where a pixel's centre
+    lies in the measured sector; elsewhere the picture is 0. Types and `order` as in `fan_to_polar`.
+    Raises SonarjaxError for axes that do not fit the image or do not ascend, an empty shape, and too many pixels.
+    """
+    rows, columns = _checked(shape)
+    _check_axis("azimuth", azimuth, image.shape[1])
+    _check_axis("range_edges", range_edges, image.shape[0] + 1)
+    edges = np.asarray(range_edges, np.float64), _beam_edges(azimuth, geometry.opening)
+    parts = (1, 1) if order == 0 else _parts_of_pixel(geometry, *edges)
+    measured = np.ones(image.shape, bool) if mask is None else mask
+    picture, seen = _sample(image, measured, _places_in_image(geometry, shape, edges, parts), (rows, columns), order)
+    seen &= _covered(*geometry.places(*_centres(shape)), edges)
+    return np.where(seen, picture, picture.dtype.type(0)), seen
+
+
+def _sample(
+    source: np.ndarray, measured: np.ndarray, places: Places, shape: tuple[int, int], order: Order
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean of `source` over `places` (row, column), one for each cell of `shape` in every item, and where it is known.
+
+    Known is what has a measured pixel beside it.
+    """
+    values = source if order == 0 else source.astype(np.float32)
+    if not measured.any():
+        return np.zeros(shape, values.dtype), np.zeros(shape, bool)
+    known = measured.astype(np.float32)
+    values = _filled(values, measured)
+    low, high = values.min(), values.max()  # a spline can swing beyond
+    if order == 3:
+        values = ndimage.spline_filter(values, order, output=np.float32, mode="mirror")
+    total, weight, count = np.zeros(shape, values.dtype), np.zeros(shape, np.float32), 0
+    for rows, columns in places:
+        weight += ndimage.map_coordinates(known, [rows, columns], order=min(order, 1), mode="grid-constant")
+        at = [np.clip(rows, 0, source.shape[0] - 1), np.clip(columns, 0, source.shape[1] - 1)]
+        total += ndimage.map_coordinates(values, at, order=order, mode="mirror", prefilter=False)
+        count += 1
+    mean = total if order == 0 else np.clip(total / np.float32(count), low, high)
+    seen = weight > LEAST_WEIGHT * count
+    return np.where(seen, mean, values.dtype.type(0)), seen
+
+
+def _filled(values: np.ndarray, measured: np.ndarray) -> np.ndarray:
+    """Every pixel that was not measured takes the value of the nearest that was."""
+    if measured.all():
+        return values
+    nearest = ndimage.distance_transform_edt(~measured, return_distances=False, return_indices=True)
+    return values[tuple(nearest)]
+
+
+def _places_in_picture(geometry: FanGeometry, shape: tuple[int, int], parts: tuple[int, int]) -> Places:
+    """Rows and columns, counted from the first pixel's centre, of a part of every polar cell, for all its parts."""
+    (bins, beams), (fine_bins, fine_beams) = shape, parts
+    edges, angles = geometry.range_edges(bins * fine_bins), geometry.azimuth(beams * fine_beams)
+    ranges = (edges[1:] + edges[:-1]) / 2
+    for i in range(fine_bins):
+        for j in range(fine_beams):
+            at_range, at_angle = np.meshgrid(ranges[i::fine_bins], angles[j::fine_beams], indexing="ij")
+            rows, columns = geometry.pixels(at_range, at_angle)
+            yield rows - 0.5, columns - 0.5
+
+
+def _places_in_image(
+    geometry: FanGeometry, shape: tuple[int, int], edges: tuple[np.ndarray, np.ndarray], parts: tuple[int, int]
+) -> Places:
+    """Bins and beams, counted from the first cell's centre, of a part of every pixel, for all its parts."""
+    for i in range(parts[0]):
+        for j in range(parts[1]):
+            ranges, angles = geometry.places(*_centres(shape, (i + 0.5) / parts[0], (j + 0.5) / parts[1]))
+            yield _cell(ranges, edges[0]), _cell(angles, edges[1])
+
+
+def _cell(values: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Number of the cell between `edges` in which each value lies, with its fraction: whole at the cell's centre."""
+    return np.interp(values, edges, np.arange(edges.size)) - 0.5
+
+
+def _centres(shape: tuple[int, int], down: float = 0.5, right: float = 0.5) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of a place in every pixel: its centre, or the shares `down` and `right` of its size."""
+    rows, columns = np.meshgrid(np.arange(shape[0]) + down, np.arange(shape[1]) + right, indexing="ij")
+    return rows, columns
+
+
+def _covered(
+    ranges: Float[np.ndarray, "*grid"], angles: Float[np.ndarray, "*grid"], edges: tuple[np.ndarray, np.ndarray]
+) -> Bool[np.ndarray, "*grid"]:
+    """Which places lie between the outermost edges of the range bins [m] and of the beams [rad]."""
+    (near, far), (starboard, port) = edges[0][[0, -1]], edges[1][[0, -1]]
+    return (near <= ranges) & (ranges <= far) & (starboard <= angles) & (angles <= port)
+
+
+def _inside(geometry: FanGeometry, shape: tuple[int, int]) -> Bool[np.ndarray, "row column"]:
+    """Pixels whose centre lies in the sector."""
+    half = geometry.opening / 2
+    edges = np.array([geometry.range_min, geometry.range_max]), np.array([-half, half])
+    return _covered(*geometry.places(*_centres(shape)), edges)
+
+
+def _parts_of_cell(geometry: FanGeometry, shape: tuple[int, int]) -> tuple[int, int]:
+    """How many pixels the largest polar cell covers along range and across it; linear interpolation spans the rest."""
+    angles = np.array([0.0, min(geometry.opening, np.pi) / 2])
+    along = np.hypot(np.cos(angles) / geometry.row_m, np.sin(angles) / geometry.column_m).max()
+    across = np.hypot(np.sin(angles) / geometry.row_m, np.cos(angles) / geometry.column_m).max()
+    depth = (geometry.range_max - geometry.range_min) / shape[0]
+    return _parts(depth * along), _parts(geometry.range_max * geometry.opening / shape[1] * across)
+
+
+def _parts_of_pixel(geometry: FanGeometry, range_edges: np.ndarray, beam_edges: np.ndarray) -> tuple[int, int]:
+    """How many polar cells a pixel covers, down and across."""
+    near = max(float(range_edges[0]), NEAREST_RANGE * float(range_edges[-1]))
+    depth, width = float(np.diff(range_edges).min()), near * float(np.diff(beam_edges).min())
+    sine = abs(np.sin(min(geometry.opening, np.pi) / 2))
+    down = geometry.row_m * max(1 / depth, sine / width)
+    across = geometry.column_m * max(1 / width, sine / depth)
+    return _parts(down), _parts(across)
+
+
+def _parts(covered: float) -> int:
+    return min(max(round(covered), 1), MOST_PARTS)
+
+
+def _beam_edges(azimuth: np.ndarray, opening: float) -> Float[np.ndarray, "beam_edge"]:
+    """Edges of beams [rad]: midway between centres, the outer two as far out as theirs; one beam fills the opening."""
+    centres = np.asarray(azimuth, np.float64)
+    if centres.size == 1:
+        return centres + np.array([-opening / 2, opening / 2])
+    middle = (centres[1:] + centres[:-1]) / 2
+    return np.concatenate([2 * centres[:1] - middle[:1], middle, 2 * centres[-1:] - middle[-1:]])
+
+
+def _check_axis(name: str, values: np.ndarray, length: int) -> None:
+    if values.shape != (length,) or not np.isfinite(values).all() or (np.diff(values) <= 0).any():
+        raise SonarjaxError(f"fan: {name}: expected {length} finite numbers in ascending order to fit the image")
+
+
+def _checked(shape: tuple[int, ...]) -> tuple[int, int]:
+    rows, columns = shape
+    if rows < 1 or columns < 1 or rows * columns > PIXEL_LIMIT:
+        raise SonarjaxError(f"fan: shape: expected 1 x 1 to {PIXEL_LIMIT} pixels in all, got {rows} x {columns}")
+    return rows, columns

@@ -1,0 +1,169 @@
+"""Where a fan picture's pixels lie in the sonar's plane: `FanGeometry`, and the rule that finds it for a picture.
+
+A fan picture shows the insonified sector as seen from above: far is up, the sonar (the apex) is at the bottom or below
+the picture, port is on the left, starboard on the right. Publishers resize such pictures, so rows and columns may have
+different lengths in metres. Places in a picture are counted in pixels from its upper left corner: the first pixel
+reaches from 0 to 1, and its centre is at 0.5.
+
+The rule: the pixels above 0 are the sector, and their bounding box is the sector's own. It is 2 · range_max ·
+sin(opening / 2) wide (twice range_max from 180° on); its upper edge is where the middle beam ends, its lower edge where
+the outer beams begin (range_min · cos(opening / 2) in front of the sonar) or, from 180° on, where they end.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Real
+
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.npy import PIXEL_LIMIT
+
+
+class PictureBox(NamedTuple):
+    """A rectangle in a picture, its edges in pixels from the upper left corner."""
+
+    top: float
+    """Upper edge [pixels]."""
+    bottom: float
+    """Lower edge [pixels]."""
+    left: float
+    """Left edge [pixels]."""
+    right: float
+    """Right edge [pixels]."""
+
+
+@dataclass(frozen=True)
+class FanGeometry:
+    """A sector and how it lies in a picture. Ranges are slant ranges; azimuth grows to port, the middle beam has 0."""
+
+    opening: float
+    """Full angle of the sector, from the outer edge of one outer beam to that of the other [rad]."""
+    range_min: float
+    """Where the sector begins [m]."""
+    range_max: float
+    """Where it ends [m]."""
+    apex_row: float
+    """The sonar's place in rows from the picture's upper edge [pixels]; below the picture it exceeds its height."""
+    apex_column: float
+    """The sonar's place in columns from the picture's left edge [pixels]."""
+    row_m: float
+    """Height of a pixel [m]."""
+    column_m: float
+    """Width of a pixel [m]."""
+
+    def places(
+        self, rows: Real[np.ndarray, "*grid"], columns: Real[np.ndarray, "*grid"]
+    ) -> tuple[Float[np.ndarray, "*grid"], Float[np.ndarray, "*grid"]]:
+        """Range [m] and azimuth [rad] of places in the picture, given in pixels from its upper left corner."""
+        forward = (self.apex_row - rows) * self.row_m
+        lateral = (self.apex_column - columns) * self.column_m
+        return np.hypot(forward, lateral), np.arctan2(lateral, forward)
+
+    def pixels(
+        self, ranges: Real[np.ndarray, "*grid"], azimuth: Real[np.ndarray, "*grid"]
+    ) -> tuple[Float[np.ndarray, "*grid"], Float[np.ndarray, "*grid"]]:
+        """Rows and columns, in pixels from the upper left corner, of places at `ranges` [m] and `azimuth` [rad]."""
+        rows = self.apex_row - ranges * np.cos(azimuth) / self.row_m
+        return rows, self.apex_column - ranges * np.sin(azimuth) / self.column_m
+
+    def range_edges(self, bins: int) -> Float[np.ndarray, "range_edge"]:
+        """Edges (range_edge,) of `bins` equal range bins over the sector, near to far [m]."""
+        return np.linspace(self.range_min, self.range_max, bins + 1)
+
+    def azimuth(self, beams: int) -> Float[np.ndarray, "beam"]:
+        """Centres (beam,) of `beams` equal beams over the sector, ascending: starboard to port [rad]."""
+        return equal_beams(self.opening, beams)
+
+    def polar_shape(self) -> tuple[int, int]:
+        """Range bins and beams that keep the picture's resolution.
+
+        The bins are the rows of the sector along its middle, the beams the columns along the arc at mid range; beyond
+        it the picture is finer than the beams.
+        """
+        bins = (self.range_max - self.range_min) / self.row_m
+        arc = self.opening * (self.range_max + self.range_min) / 2
+        return max(round(bins), 1), max(round(arc / self.column_m), 1)
+
+
+def equal_beams(opening: float | int, beams: int) -> Float[np.ndarray, "beam"]:
+    """Centres (beam,) of `beams` equal beams side by side that fill `opening` [rad], ascending [rad]."""
+    return ((np.arange(beams) + 0.5) / beams - 0.5) * opening
+
+
+def content_box(picture: Real[np.ndarray, "row column"]) -> PictureBox:
+    """The bounding box of the pixels above 0 of a picture (row, column).
+
+    Raises SonarjaxError when there is none.
+    """
+    rows, columns = (np.flatnonzero((picture > 0).any(axis)) for axis in (1, 0))
+    if rows.size == 0:
+        raise SonarjaxError("fan: expected pixels above 0, the picture is black")
+    return PictureBox(float(rows[0]), float(rows[-1] + 1), float(columns[0]), float(columns[-1] + 1))
+
+
+def fit_fan(
+    box: PictureBox,
+    opening: float | int,
+    range_min: float | int,
+    range_max: float | int,
+    apex_row: float | int | None = None,
+) -> FanGeometry:
+    """The geometry of a picture whose sector has the bounding box `box`.
+
+    The sector is `opening` [rad] wide and reaches from `range_min` to `range_max` [m]. `apex_row` is where the sonar
+    is, in rows from the picture's upper edge; without it the box's lower edge tells (see the module). With it that edge
+    is not used: a picture may be cut off below, or show the sonar at its own lower edge.
+    Raises SonarjaxError for an opening or window that no sonar has, an empty box, and an apex not below the box's top.
+    """
+    half, top, bottom = _extent(float(opening), float(range_min), float(range_max))
+    if not (box.bottom > box.top and box.right > box.left):
+        raise SonarjaxError(f"fan: expected a box with an inside, got {tuple(box)}")
+    if apex_row is None:
+        row_m = (top - bottom) / (box.bottom - box.top)
+    elif apex_row > box.top:
+        row_m = top / (apex_row - box.top)
+    else:
+        raise SonarjaxError(f"fan: apex: expected a row below the sector's top at {box.top:g}, got {apex_row:g}")
+    return FanGeometry(
+        opening=float(opening),
+        range_min=float(range_min),
+        range_max=float(range_max),
+        apex_row=box.top + top / row_m,
+        apex_column=(box.left + box.right) / 2,
+        row_m=row_m,
+        column_m=2 * half / (box.right - box.left),
+    )
+
+
+def fan_around(
+    opening: float | int, range_min: float | int, range_max: float | int, pixel: float | int
+) -> tuple[FanGeometry, tuple[int, int]]:
+    """Geometry and shape (rows, columns) of a picture that just holds a sector, with pixels of about `pixel` [m].
+
+    `opening` [rad], `range_min` and `range_max` [m] as in `fit_fan`. Whole pixels fill the sector's bounding box, so
+    their height and width differ slightly. Raises SonarjaxError as `fit_fan` does, and for a picture of more than
+    `PIXEL_LIMIT` pixels.
+    """
+    half, top, bottom = _extent(float(opening), float(range_min), float(range_max))
+    if not pixel > 0:
+        raise SonarjaxError(f"fan: pixel: expected a length above 0 m, got {pixel:g}")
+    rows, columns = (max(round(length / pixel), 1) for length in (top - bottom, 2 * half))
+    if rows * columns > PIXEL_LIMIT:
+        raise SonarjaxError(f"fan: expected at most {PIXEL_LIMIT} pixels, got {rows} x {columns}")
+    box = PictureBox(0.0, float(rows), 0.0, float(columns))
+    return fit_fan(box, opening, range_min, range_max), (rows, columns)
+
+
+def _extent(opening: float, range_min: float, range_max: float) -> tuple[float, float, float]:
+    """Half width, and forward distance of the upper and lower edge, of a sector's bounding box [m]."""
+    if not 0 < opening <= 2 * math.pi:
+        raise SonarjaxError(f"fan: opening: expected above 0 and up to 360 deg, got {math.degrees(opening):g}")
+    if not 0 <= range_min < range_max < math.inf:
+        raise SonarjaxError(f"fan: range: expected 0 <= minimum < maximum, got {range_min:g} to {range_max:g} m")
+    cosine = math.cos(opening / 2)
+    half = range_max * math.sin(min(opening, math.pi) / 2)
+    return half, range_max, cosine * (range_min if cosine > 0 else range_max)

@@ -1,0 +1,165 @@
+"""`sonarjax convert`: fan pictures into frames that the other commands take, frames into fan pictures."""
+
+from __future__ import annotations
+
+import math
+import os
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from sonarjax.io import fan_around, read_frames, write_png
+
+SECTOR = ("--opening-deg", 29, "--range-min", 1.5, "--range-max", 4)
+
+
+@pytest.fixture(scope="module")
+def fan(tmp_path_factory):
+    """`fan.png`, rings and spokes in a 29° fan from 1.5 to 4 m, 200 pixels of 1 cm wide, black around."""
+    path = tmp_path_factory.mktemp("fan") / "fan.png"
+    geometry, shape = fan_around(math.radians(29), 1.5, 4.0, 8 * math.sin(math.radians(14.5)) / 200)
+    y, x = np.meshgrid(*(np.arange(n) + 0.5 for n in shape), indexing="ij")
+    ranges, azimuth = geometry.places(y, x)
+    inside = (ranges >= 1.5) & (ranges <= 4) & (np.abs(azimuth) <= math.radians(14.5))
+    write_png(path, np.pad(np.where(inside, value(ranges, azimuth), 0.0), 7))
+    return path
+
+
+def value(ranges, azimuth):
+    """Brighter to port, and with range in waves."""
+    return 0.5 + 0.2 * np.sin(4 * ranges) + azimuth
+
+
+def test_fan_becomes_a_frame(command, fan, tmp_path):
+    out = tmp_path / "polar.npz"
+    code, said, err = command("convert", fan, *SECTOR, "--out", out, "--bins", 200, "--beams", 80)
+    assert (code, err) == (0, "")
+    assert said.startswith(f"{out}: 200 range bins x 80 beams, opening 29 deg, range 1.5 to 4 m, 100.0% of")
+    assert said.count("\n") == 1
+    with np.load(out, allow_pickle=False) as held:
+        assert set(held) == {"image", "mask", "azimuth_deg", "range_edges_m"}
+        assert (held["image"].dtype, held["mask"].dtype) == (np.float32, bool)
+        azimuth, edges = held["azimuth_deg"], held["range_edges_m"]
+        np.testing.assert_allclose(azimuth, np.linspace(-14.5, 14.5, 161)[1::2], atol=1e-12)
+        np.testing.assert_allclose(edges, np.linspace(1.5, 4, 201))
+        middle = (edges[1:] + edges[:-1]) / 2
+        wanted = value(*np.meshgrid(middle, np.radians(azimuth), indexing="ij"))
+        assert np.sqrt(np.mean((held["image"] - wanted) ** 2)) < 0.01
+    frame = read_frames(out)[0]  # what segment and recognize read
+    assert frame.mask is not None and frame.geometry is not None
+    assert frame.geometry["range_max_m"] == 4.0
+
+
+def test_default_grid_keeps_the_resolution(command, fan, tmp_path):
+    assert command("convert", fan, *SECTOR, "--out", tmp_path / "p.npz")[0] == 0
+    bins, beams = read_frames(tmp_path / "p.npz")[0].shape
+    assert abs(bins - 250) <= 1  # pixels of 1 cm: 2.5 m of range
+    assert abs(beams - math.radians(29) * 275) <= 1  # an arc at 2.75 m
+
+
+def test_and_back(command, fan, tmp_path):
+    """Fan, frame and fan again: the picture without its border; both files are what others write and read."""
+    polar, again = tmp_path / "polar.npz", tmp_path / "again.png"
+    assert command("convert", fan, *SECTOR, "--out", polar)[0] == 0
+    code, said, _ = command("convert", polar, "--out", again, "--width", 200)
+    with Image.open(fan) as one, Image.open(again) as other:
+        first, second = np.asarray(one)[7:-7, 7:-7] / 255, np.asarray(other) / 255
+        assert (other.mode, first.shape) == ("L", second.shape)
+    assert said.startswith(f"{again}: {second.shape[0]} x 200 pixels, opening 29 deg, range 1.5 to 4 m, ")
+    assert code == 0
+    np.testing.assert_array_equal(first > 0, second > 0)
+    assert np.sqrt(np.mean((first - second) ** 2)) < 0.005
+
+
+def test_black_frame_is_found_again(command, tmp_path):
+    """A measured zero is not black in the picture: the box of its pixels is the sector's."""
+    image = np.zeros((60, 24), np.float32)
+    image[30, 12] = 1.0
+    np.savez(tmp_path / "a.npz", image=image)
+    assert command("convert", tmp_path / "a.npz", *SECTOR, "--out", tmp_path / "a.png")[0] == 0
+    options = ("--bins", 60, "--beams", 24)
+    assert command("convert", tmp_path / "a.png", *SECTOR, *options, "--out", tmp_path / "b.npz")[0] == 0
+    back = read_frames(tmp_path / "b.npz")[0].image
+    assert np.unravel_index(back.argmax(), back.shape) == (30, 12)
+
+
+def test_whole_and_apex_say_the_same(command, fan, tmp_path):
+    with Image.open(fan) as picture:
+        pixels = np.asarray(picture)
+    extended = np.pad(pixels[:-7], ((0, round(1.5 * math.cos(math.radians(14.5)) * 100)), (0, 0)))
+    write_png(tmp_path / "whole.png", extended)
+    size = ("--bins", 100, "--beams", 40)
+    told = {"box": (), "whole": ("--whole",), "apex": ("--apex", len(extended))}
+    frames = {}
+    for name, options in told.items():
+        source, out = tmp_path / "whole.png", tmp_path / f"{name}.npz"
+        assert command("convert", source, *SECTOR, *size, *options, "--out", out)[0] == 0
+        frames[name] = read_frames(out)[0].image
+    np.testing.assert_array_equal(frames["whole"], frames["apex"])
+    inner = np.s_[1:-1, 1:-1]  # the extension is of whole rows: the rim is up to half a pixel off
+    np.testing.assert_allclose(frames["whole"][inner], frames["box"][inner], atol=0.01)
+
+
+def test_frame_of_the_picture_counts_where_it_is_asked_for(command, tmp_path):
+    """A picture that is all bright: only its frame can tell."""
+    write_png(tmp_path / "a.png", np.pad(np.full((100, 80), 200, np.uint8), 10))
+    for options, dark in (((), False), (("--frame",), True)):
+        out = tmp_path / "a.npz"
+        assert command("convert", tmp_path / "a.png", *SECTOR, *options, "--out", out)[0] == 0
+        assert (read_frames(out)[0].image.min() < 0.1) == dark
+
+
+def test_frame_goes_straight_into_segment(command, fan, tmp_path, stand_in):
+    assert command("convert", fan, *SECTOR, "--bins", 64, "--beams", 24, "--out", tmp_path / "p.npz")[0] == 0
+    assert command("segment", tmp_path / "p.npz", "--out-dir", tmp_path)[0] == 0
+    assert np.load(tmp_path / "labels_p.npz")["labels"].shape == (64, 24)
+
+
+@pytest.mark.slow  # compiles the network
+def test_frame_is_segmented_by_the_shipped_network(command, fan, tmp_path):
+    assert command("convert", fan, *SECTOR, "--bins", 128, "--beams", 96, "--out", tmp_path / "p.npz")[0] == 0
+    assert command("segment", tmp_path / "p.npz", "--out-dir", tmp_path)[0] == 0
+    labels = np.load(tmp_path / "labels_p.npz")["labels"]
+    assert labels.shape == (128, 96) and labels.max() <= 2
+
+
+def test_frame_of_the_right_shape_is_recognized(command, place, fan, tmp_path, stand_in):
+    assert command("convert", fan, *SECTOR, "--bins", 64, "--beams", 24, "--out", tmp_path / "p.npz")[0] == 0
+    options = ("--target", place / "brick.stl", "--sonar", place / "sonar.toml", "--out", tmp_path / "r.jsonl")
+    assert command("recognize", tmp_path / "p.npz", *options)[0] == 0
+    assert stand_in.calls[0]["mask"].all()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (("FAN", "--out", "p.npz"), 2, "fan.png: --opening-deg: expected with a fan picture"),
+        (("FAN", "--opening-deg", 29, "--range-max", 4, "--out", "p.npz"), 2, "fan.png: --range-min: expected"),
+        (("FAN", *SECTOR, "--out", "p.jpg"), 2, "--out: 'p.jpg': expected an ending .npz"),
+        (("FAN", *SECTOR, "--out", "FAN"), 2, "would overwrite the input"),
+        (("FAN", *SECTOR, "--out", "missing/p.npz"), 2, "missing/p.npz: cannot be written"),
+        (("FAN", *SECTOR, "--width", 300, "--out", "p.npz"), 2, "--width: expected only with a .png"),
+        (("a.npy", *SECTOR, "--whole", "--out", "p.png"), 2, "--whole: expected only with a .npz"),
+        (("FAN", *SECTOR[:2], "--range-min", 4, "--range-max", 1.5, "--out", "p.npz"), 2, "fan.png: fan: range"),
+        (("FAN", "--opening-deg", 0, *SECTOR[2:], "--out", "p.npz"), 2, "fan.png: fan: opening"),
+        (("FAN", *SECTOR, "--apex", 3, "--out", "p.npz"), 2, "fan.png: fan: apex: expected a row below"),
+        (("FAN", *SECTOR, "--apex", 7.001, "--out", "p.npz"), 2, "fan.png: fan: expected some"),
+        (("FAN", *SECTOR, "--bins", 1.5, "--out", "p.npz"), 2, "--bins: expected a whole number"),
+        (("black.png", *SECTOR, "--out", "p.npz"), 2, "black.png: fan: expected pixels above 0"),
+        (("a.npy", "--out", "p.png"), 2, "a.npy: --opening-deg: expected with a frame without azimuth_deg"),
+        (("own.npz", *SECTOR, "--out", "p.png"), 2, "own.npz: --opening-deg: expected none, the file says it"),
+        (("missing.png", *SECTOR, "--out", "p.npz"), 1, "missing.png: no such file"),
+        (("broken.png", *SECTOR, "--out", "p.npz"), 1, "broken.png: expected a PNG"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_converted(complaint, fan, tmp_path, monkeypatch, arguments, code, words):
+    monkeypatch.chdir(tmp_path)
+    np.save("a.npy", np.full((20, 10), 0.5, np.float32))
+    np.savez("own.npz", image=np.full((2, 2), 0.5), azimuth_deg=np.array([-1.0, 1]), range_edges_m=np.arange(1.0, 4))
+    write_png("black.png", np.zeros((20, 10), np.uint8))
+    (tmp_path / "broken.png").write_bytes(b"no picture")
+    before = set(os.listdir())
+    given = [os.path.relpath(fan) if argument == "FAN" else argument for argument in arguments]
+    assert words in complaint(code, "convert", *given)
+    assert set(os.listdir()) == before
