@@ -29,7 +29,7 @@ from experiments.common.scores import target
 from experiments.yaw_basin import CONFIG, CONVERGED, SHARPNESS_OF, MapName, image_of, moved, target_frames
 from sonarjax.refine import plan_refinement
 from sonarjax.refine.objective import ROW_STRIDE, Blur, make_blur, normalised
-from sonarjax.refine.template import VIEWS, Subject, draw
+from sonarjax.refine.template import VIEWS, Subject, draw, nominal_law
 from sonarjax.refine.yaw import SLACK_M
 from sonarjax.render import place_window
 
@@ -109,7 +109,9 @@ def losses_at(
     size = plan_refinement(mesh, sonar, at, CONFIG)  # the window is refine_yaw's own
     window = place_window(size, mesh, sonar, at.x, at.y, SLACK_M)
     part = jax.lax.dynamic_slice(jnp.asarray(image, jnp.float32), (window.row, window.column), size.shape)
-    subject = Subject(mesh, sonar, at, window, jnp.float32(sharpness), jnp.int32(VIEWS["semantic"]), quality)
+    subject = Subject(
+        mesh, sonar, at, window, jnp.float32(sharpness), jnp.int32(VIEWS["semantic"]), nominal_law(), quality
+    )
     # In parts of one size, the last filled up: lines and landscapes share compiled code.
     filled = np.resize(steps, (-(-len(steps) // CHUNK) * CHUNK, 3)).astype(np.float32)
     found = [_losses(part, subject, few) for few in filled.reshape(-1, CHUNK, 3)]

@@ -27,7 +27,7 @@ from jax import export
 from sonarjax.engine import Engine
 from sonarjax.io.atomic import write_atomic
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.refine.yaw import YawEstimate
+from sonarjax.refine import Drawn, Evidence, YawEstimate
 from sonarjax.render.bank import BankViews
 
 MIN_COMPILE_SECONDS = 0.2
@@ -248,12 +248,13 @@ def _write(path: Path, program: Any) -> None:
 def _register_results() -> None:
     """Tell JAX how the records that programs return are named in its files."""
     export.register_namedtuple_serialization(BankViews, serialized_name="sonarjax.BankViews")
-    export.register_pytree_node_serialization(
-        YawEstimate,
-        serialized_name="sonarjax.YawEstimate",
-        serialize_auxdata=lambda aux: b"",
-        deserialize_auxdata=lambda data: (),
-    )
+    for record in (YawEstimate, Drawn, Evidence):
+        export.register_pytree_node_serialization(
+            record,
+            serialized_name=f"sonarjax.{record.__name__}",
+            serialize_auxdata=lambda aux: b"",
+            deserialize_auxdata=lambda data: (),
+        )
 
 
 def _writable_folder() -> Path | None:

@@ -14,11 +14,21 @@ import numpy as np
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.match import Match, SearchConfig, TargetSearch, between_bins, peaks
-from sonarjax.refine import RefineConfig, YawEstimate, plan_refinement, prepare_refinement, refine_yaw
+from sonarjax.refine import (
+    Drawn,
+    Evidence,
+    RefineConfig,
+    YawEstimate,
+    gather_evidence,
+    plan_refinement,
+    prepare_refinement,
+    refine_and_draw,
+    refine_yaw,
+)
 from sonarjax.render import WindowSize
 from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS
 from sonarjax.scene import Mesh, Pose
-from sonarjax.segment import DEFAULT_SEGMENTER, Segmenter, load_segmenter
+from sonarjax.segment import DEFAULT_SEGMENTER, EVIDENCE, Segmenter, load_segmenter
 from sonarjax.sonar import Sonar
 
 MAP_REFINEMENT = RefineConfig(
@@ -33,10 +43,11 @@ FRAME_BLURS = (1.0, 0.5)
 """Blurs [range bins] of the refinement on the frame itself, which goes on from the map's."""
 FRAME_ITERATIONS = 3
 """Renders at each of these blurs, at most."""
-UNMODELLED_YAW = math.radians(0.5)
-"""Extra standard deviation [rad], added in quadrature so that the error bars cover 68 % of validation frames.
+STD_SCALE, UNMODELLED_YAW = 1.0, math.radians(0.5)
+"""What `refine_yaw`'s standard deviation is multiplied by, and what joins it in quadrature [rad].
 
-Bounces, brightness and speckle that the echo template leaves out (experiments/fit_refinement.py --drawn)."""
+Fitted to the errors on validation frames (experiments/fit_decision.py), whose devices have a tilt and a height a little
+off what they are told, and bounces, brightness and speckle that the echo template leaves out."""
 NEARER = 0.15
 """Share of the distances that are nearer than the one that the refinement's usual window is planned for."""
 SAME_YAW = math.radians(8.0)  # refined hypotheses closer than this are one
@@ -52,7 +63,7 @@ class Hypothesis:
     score: float
     """NCC (eq. 4) of its template."""
     yaw_std: float | None
-    """Standard deviation of the refined yaw [rad], given this hypothesis: `refine_yaw`'s, joined by `UNMODELLED_YAW`.
+    """Standard deviation of the refined yaw [rad], given this hypothesis: see `STD_SCALE`.
 
     None without refinement."""
     converged: bool = True
@@ -68,7 +79,9 @@ class Recognition:
     target: str
     """Name of the target that matches best."""
     score: float
-    """What the threshold judges: eq. 5's maximum over the bank."""
+    """What the threshold judges: the probability that the target is shown, by the segmenter's `rule`.
+
+    Without refinement, a rule, or with a map of your own it is eq. 5's maximum over the bank, `score_bank`."""
     score_bank: float
     """Largest NCC over the bank's yaw bins."""
     score_refined: float | None
@@ -99,6 +112,8 @@ class Recognition:
     """What made the semantic map; `given` for one of your own."""
     semantic: np.ndarray = field(repr=False)
     """The image (range, beam) that was matched."""
+    evidence: Mapping[str, float] | None = field(default=None, repr=False)
+    """What the rule weighs, by the names of `segment.EVIDENCE`; None without refinement."""
 
 
 class Candidate(NamedTuple):
@@ -175,11 +190,13 @@ class Recognizer:
         found = [self._locate(search, seen, mask) for search in self.targets.values()]
         found.sort(key=lambda candidate: -candidate.score)
         best = found[0]
-        hypotheses, x, y = self._hypotheses(best, image, seen, mask)
+        hypotheses, x, y, evidence = self._hypotheses(best, image, seen, mask)
+        rule = self.segmenter.rule if given is None else None
+        score = best.score if rule is None or evidence is None else rule.probability(evidence)
         return Recognition(
-            identified=best.score >= least,
+            identified=score >= least,
             target=best.search.name,
-            score=best.score,
+            score=score,
             score_bank=best.score,
             score_refined=hypotheses[0].score if self.refine else None,
             threshold=least,
@@ -195,6 +212,7 @@ class Recognizer:
             hypotheses=hypotheses,
             segmenter=self.segmenter.name if given is None else GIVEN,
             semantic=np.asarray(seen),
+            evidence=evidence,
         )
 
     def _usual_window(self, search: TargetSearch) -> WindowSize | None:
@@ -221,7 +239,8 @@ class Recognizer:
         return usual if usual.holds(needed) else needed
 
     def _threshold(self, threshold: float | None, given: bool) -> float:
-        own = None if given else self.segmenter.threshold
+        rule = self.segmenter.rule if self.refine is not None else None
+        own = None if given else self.segmenter.threshold if rule is None else rule.threshold
         if threshold is None and own is None:
             what = "a `semantic` map" if given else f"the segmenter {self.segmenter.name}"
             raise SonarjaxError(f"threshold: expected a number beside {what}, there is none for it")
@@ -233,37 +252,41 @@ class Recognizer:
 
     def _hypotheses(
         self, best: Candidate, image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None
-    ) -> tuple[tuple[Hypothesis, ...], float, float]:
-        """Possible yaws, best first, and the place (x, y) [m] of the best: of the bins, or refined."""
+    ) -> tuple[tuple[Hypothesis, ...], float, float, dict[str, float] | None]:
+        """Possible yaws, best first, the place (x, y) [m] of the best (a bin or refined), and what speaks for it."""
         scores = best.match.scores
         bins = _peak_bins(scores, best.yaws, self.search.hypotheses)
         if self.refine is None:
-            return _distinct([Hypothesis(_wrap(best.yaws[k]), float(scores[k]), None) for k in bins]), best.x, best.y
+            plain = [Hypothesis(_wrap(best.yaws[k]), float(scores[k]), None) for k in bins]
+            return _distinct(plain), best.x, best.y, None
         turned = [float(best.yaws[k]) + between_bins(scores, k) * (2 * math.pi / len(scores)) for k in bins]
         window = self._window(best)
 
-        def refined(yaw: float) -> tuple[YawEstimate, Pose]:
+        def refined(yaw: float) -> tuple[YawEstimate, Pose, Evidence]:
             found = Pose(x=best.x, y=best.y, yaw=yaw)
             return self._refined(best.search.mesh, found, image, seen, mask, window)
 
         # Each on its own: one that settles early waits for no other.
         parts = self.engine.map(refined, turned)
-        estimate, pose = jax.tree.map(lambda *values: np.stack([np.asarray(v) for v in values]), *parts)
+        estimate, pose, gathered = jax.tree.map(lambda *values: np.stack([np.asarray(v) for v in values]), *parts)
         hypotheses = _refined(estimate, pose)
         order = int(np.argmax([one.score for one in hypotheses]))
-        return _distinct(hypotheses), float(np.asarray(pose.x)[order]), float(np.asarray(pose.y)[order])
+        evidence = {name: float(getattr(gathered, name)[order]) for name in EVIDENCE if hasattr(gathered, name)}
+        x, y = float(np.asarray(pose.x)[order]), float(np.asarray(pose.y)[order])
+        return _distinct(hypotheses), x, y, evidence | _of_curve(scores)
 
     def _refined(
         self, mesh: Mesh, found: Pose, image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None,
         window: WindowSize | None,
-    ) -> tuple[YawEstimate, Pose]:  # fmt: skip
-        """One hypothesis refined on the map, then on the frame; with the pose that is kept."""
+    ) -> tuple[YawEstimate, Pose, Evidence]:  # fmt: skip
+        """One hypothesis refined on the map, then on the frame; with the pose that is kept, and what speaks for it."""
         assert self.refine is not None
         how: dict[str, Any] = {"mask": mask, "window": window, "engine": self.engine}
         on_map = refine_yaw(seen, mesh, self.sonar, found, config=self.refine, **how)
         start = _kept(on_map, found)
-        estimate = refine_on_frame(image, mesh, self.sonar, start, config=self.refine, **how)
-        return estimate, _kept(estimate, start)
+        estimate, drawn = refine_and_draw(image, mesh, self.sonar, start, config=on_frame(self.refine), **how)
+        evidence = _evidence(drawn, image, seen, mask, self.engine)
+        return estimate, _kept(estimate, start), evidence
 
 
 def recognize(
@@ -332,6 +355,24 @@ def _peak_bins(scores: np.ndarray, yaws: np.ndarray, count: int) -> list[int]:
     return [int(k) for k, valid in zip(np.asarray(found.yaw_bin), np.asarray(found.valid), strict=True) if valid]
 
 
+def _evidence(drawn: Drawn, image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None, engine: Engine) -> Evidence:
+    """What speaks for a template in its window of the frame."""
+    rows, columns = np.shape(drawn.template)
+    top, left = int(drawn.row), int(drawn.column)
+    whole = np.ones(image.shape, np.float32) if mask is None else mask.astype(np.float32)
+    parts = (v[top : top + rows, left : left + columns] for v in (image, np.asarray(seen, np.float32), whole))
+    return engine.run(gather_evidence, *parts, drawn.template, drawn.labels)
+
+
+def _of_curve(scores: np.ndarray) -> dict[str, float]:
+    """What the score curve over yaw (yaw,) tells: how far its peak stands out."""
+    ordered = np.sort(scores)
+    return {
+        "above_others": float(ordered[-1] - ordered[-4]),
+        "peak": float((ordered[-1] - scores.mean()) / max(float(scores.std()), 1e-6)),
+    }
+
+
 def _is_kept(estimate: YawEstimate) -> Any:
     """True where refinement settled, or fits better than its start did."""
     return np.asarray(estimate.converged) | np.asarray(estimate.score > estimate.start_score)
@@ -346,7 +387,7 @@ def _kept(estimate: YawEstimate, start: Pose) -> Pose:
 def _refined(estimate: YawEstimate, pose: Pose) -> list[Hypothesis]:
     """A hypothesis for each of the `pose`s that were kept, with the score that belongs to it."""
     scores = np.where(_is_kept(estimate), np.asarray(estimate.score), np.asarray(estimate.start_score))
-    stds = np.hypot(np.asarray(estimate.yaw_std), UNMODELLED_YAW)
+    stds = np.hypot(STD_SCALE * np.asarray(estimate.yaw_std), UNMODELLED_YAW)
     rows = zip(np.asarray(pose.yaw), scores, stds, np.asarray(estimate.converged), strict=True)
     return [Hypothesis(_wrap(yaw), float(score), float(std), bool(ok)) for yaw, score, std, ok in rows]
 

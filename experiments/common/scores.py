@@ -8,6 +8,7 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import rankdata
 from tqdm import tqdm
 
 import sonarjax as sj
@@ -102,3 +103,9 @@ def summary_of(found: Found) -> dict[str, float]:
         **{f"bin_{name}": value for name, value in summary_deg(found.bin_error_deg[own]).items()},
         **{f"yaw_{name}": value for name, value in summary_deg(found.error_deg[own]).items()},
     }
+
+
+def area(score: np.ndarray, own: np.ndarray) -> float:
+    """Area under the receiver operating characteristic of scores (frame,): Mann and Whitney's statistic."""
+    ranks, targets = rankdata(score), int(own.sum())
+    return float((ranks[own].sum() - targets * (targets + 1) / 2) / (targets * (~own).sum()))

@@ -27,7 +27,9 @@ BRICK_SHARE = 0.65
 """How often the boxes are bricks, equal to one another."""
 TOUCH_M = 0.001
 """Least gap between two bricks [m], so that no two faces coincide."""
-NUMBERS = 96  # that a pile takes from its stream
+SCATTERED_SHARE, SCATTERED_M = 0.12, (0.1, 0.6)
+"""How often boxes on the floor stand far apart, as objects of their own, and how far [m]."""
+NUMBERS = 112  # that a pile takes from its stream
 _AXES = np.array([[0, 1, 2], [0, 2, 1], [2, 1, 0]])  # which side of a brick becomes its x, y and z
 
 
@@ -38,6 +40,7 @@ def draw_pile(*, key: Array) -> Float[Array, "box 8 3"]:
     size = _sizes(stream)
     on_floor = [stream.happens(0.5) for _ in range(MOST_BOXES)]
     on_floor[2] = jnp.where(count == 3, on_floor[1], on_floor[2])  # never two below and one above
+    scattered = stream.happens(SCATTERED_SHARE)
     leaning = jnp.where(stream.happens(LEANING_SHARE), jnp.floor(stream.between(0, MOST_BOXES)), -1)
     corners: list[Array] = []
     yaw = jnp.zeros(())
@@ -45,7 +48,7 @@ def draw_pile(*, key: Array) -> Float[Array, "box 8 3"]:
         yaw = _next_yaw(yaw, stream)
         own = _turned(size[number], yaw, leaning == number, stream)
         if corners:
-            own = own + _place(own, jnp.stack(corners), on_floor[number], stream)
+            own = own + _place(own, jnp.stack(corners), on_floor[number], scattered, stream)
             # A box that is not there shrinks to a point of the first; it comes last, so nothing is placed beside it.
             own = jnp.where(number < count, own, corners[0][:1])
         corners.append(own)
@@ -77,12 +80,16 @@ def _turned(size: Float[Array, "3"], yaw: Array, leans: Array, stream: Stream) -
     return corners.at[:, 2].add(-corners[:, 2].min())
 
 
-def _place(own: Array, there: Float[Array, "box 8 3"], on_floor: Bool[Array, ""], stream: Stream) -> Array:
+def _place(
+    own: Float[Array, "8 3"], there: Float[Array, "box 8 3"], on_floor: Bool[Array, ""], scattered: Array,
+    stream: Stream,
+) -> Array:  # fmt: skip
     """Where a box goes (3,) [m]: beside all that are there, or on top of them; never through them."""
     angle = stream.between(0.0, 2 * math.pi)
     ahead = jnp.stack([jnp.cos(angle), jnp.sin(angle)])
     aside = jnp.stack([-ahead[1], ahead[0]])
     gap = stream.sometimes(0.4, 0.0, stream.between(0.0, 0.35) ** 2) + TOUCH_M
+    gap = jnp.where(scattered, stream.between(*SCATTERED_M), gap)
     # A vertical plane square to `ahead` lies between the new box and all others.
     distance = (there[..., :2] @ ahead).max() - (own[:, :2] @ ahead).min() + gap
     beside = distance * ahead + stream.between(-0.08, 0.08) * aside

@@ -1,4 +1,4 @@
-"""The random object of a training pair (Fig. 4): bricks, cylinders, balls, or nothing at all."""
+"""The random object of a training pair: bricks, cylinders and balls (Fig. 4), tubes of many shapes, or nothing."""
 
 from __future__ import annotations
 
@@ -11,11 +11,21 @@ from jaxtyping import Array, Float, Int
 
 from sonarjax.data.bricks import draw_pile
 from sonarjax.data.draws import Stream
-from sonarjax.data.shapes import BALL, BALL_VERTICES, BOXES, CYLINDER, pile_vertices, round_vertices
+from sonarjax.data.shapes import (
+    BALL,
+    BALL_VERTICES,
+    BOXES,
+    CYLINDER,
+    CYLINDER_VERTICES,
+    TUBE,
+    pile_vertices,
+    round_vertices,
+)
+from sonarjax.data.tubes import draw_tube
 from sonarjax.scene.pose import rotation_y, rotation_z
 
-KIND_SHARES = (0.62, 0.26, 0.12)
-"""How often the object is a pile of boxes, a cylinder, a ball."""
+KIND_SHARES = (0.44, 0.14, 0.07, 0.35)
+"""How often the object is a pile of boxes, a cylinder, a ball, a tube."""
 PITCH_SHARES = (0.4, 0.5, 0.1)
 """How often a cylinder is upright, lying, leaning."""
 NOTHING_SHARE = 0.04
@@ -28,17 +38,18 @@ class Shape(NamedTuple):
     """An object around the origin of its own frame, standing on z = 0."""
 
     kind: Int[Array, ""]
-    """BOXES, CYLINDER or BALL of `shapes`."""
+    """BOXES, CYLINDER, BALL or TUBE of `shapes`."""
     vertices: Float[Array, "vertex 3"]
     """Vertices [m] for `shape_mesh`; all of them coincide where there is no object."""
 
 
 def draw_shape(*, key: Array) -> Shape:
     """A random object."""
-    pile_key, own_key = split(key)
+    pile_key, own_key, tube_key = split(key, 3)
     stream = Stream(16, key=own_key)
-    kind = jnp.array([BOXES, CYLINDER, BALL])[stream.pick(KIND_SHARES)]
+    kind = jnp.array([BOXES, CYLINDER, BALL, TUBE])[stream.pick(KIND_SHARES)]
     vertices = jnp.where(kind == BOXES, pile_vertices(draw_pile(key=pile_key)), _draw_round(kind, stream))
+    vertices = jnp.where(kind == TUBE, draw_tube(key=tube_key), vertices)
     raised = stream.sometimes(RAISED_SHARE, stream.between(0.0, RAISED_M), 0.0)
     vertices = vertices + raised * jnp.array([0.0, 0.0, 1.0])
     return Shape(kind, jnp.where(stream.happens(NOTHING_SHARE), 0.0, vertices))
@@ -51,7 +62,8 @@ def _draw_round(kind: Array, stream: Stream) -> Float[Array, "vertex 3"]:
     pitch = pitches[stream.pick(PITCH_SHARES)]
     points = round_vertices(kind, radius, jnp.minimum(length, 8 * radius)) @ rotation_y(pitch).T
     points = points @ rotation_z(stream.between(0.0, 2 * math.pi)).T
-    padding = (kind == BALL) & (jnp.arange(len(points)) >= BALL_VERTICES)
+    used = jnp.where(kind == BALL, BALL_VERTICES, CYLINDER_VERTICES)
+    padding = jnp.arange(len(points)) >= used
     points = jnp.where(padding[:, None], points[0], points)
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
     return points - middle.at[2].set(points[:, 2].min())

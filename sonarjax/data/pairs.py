@@ -7,7 +7,7 @@ that is not there or not lit, dark as it looks (a template is 0.5 there).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import jax
@@ -16,9 +16,10 @@ from jax.random import fold_in
 from jaxtyping import Array, Float, UInt8
 
 from sonarjax.data.crops import cut_box, cut_labels, draw_box
+from sonarjax.data.materials import draw_reflectivity
 from sonarjax.data.objects import draw_shape
 from sonarjax.data.scenes import render_scenes
-from sonarjax.data.shapes import remove_walls, shape_mesh
+from sonarjax.data.shapes import N_FACES, remove_walls, shape_mesh
 from sonarjax.data.views import draw_view
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
@@ -30,6 +31,8 @@ from sonarjax.sensor import SensorModel, observe, render_bounces
 PAPER_PAIRS = 6780
 """Pairs in the paper's training set (§3.1)."""
 SPLITS = {"train": 1, "validation": 2, "test": 3}
+SMOOTHING = 1.5
+"""Largest standard deviation of a resampled picture's blur [pixels]."""
 CHUNK = 8  # pairs made by one call of the compiled function
 VMAPPED = 64  # pairs at once on an accelerator
 
@@ -48,6 +51,11 @@ class PairSettings:
     """Azimuth parts of a beam, as in `render`."""
     elevations: int = 16
     """Elevation cells of the energy integral, as in `render`."""
+    odd: float = 0.75
+    """Share of pairs [1] whose device, place and object's material may be odd (`SensorModel.draw_wide`,
+    `draw_reflectivity`); the others have a device of the family and equal faces."""
+    smoothed: float = 0.3
+    """Share of pairs [1] whose image was resampled, and so smoothed, after it was stored: fan pictures."""
 
 
 @record
@@ -106,17 +114,33 @@ def _chunk(key: Array, start: Array, size: int, settings: PairSettings) -> Pairs
 
 def draw_pair(settings: PairSettings, *, key: Array) -> Pairs:
     """One pair, without the leading axis."""
-    shape_key, view_key, severity_key, model_key, noise_key, box_key = jax.random.split(key, 6)
+    shape_key, view_key, severity_key, model_key, noise_key, box_key, odd_key = jax.random.split(key, 7)
     shape = draw_shape(key=shape_key)
     view = draw_view(settings.n_ranges, settings.n_beams, key=view_key)
     mesh = shape_mesh(shape.kind, view.pose.to_ground(shape.vertices), view.walls)
     low, high = settings.severity
     severity = jax.random.uniform(severity_key, minval=low, maxval=high)
-    model = SensorModel.draw(key=model_key, severity=severity)
+    odd = jax.random.uniform(odd_key) < settings.odd
+    device = SensorModel.draw(key=model_key, severity=severity)
+    model = jax.tree.map(partial(jnp.where, odd), SensorModel.draw_wide(key=model_key, severity=severity), device)
+    painted = draw_reflectivity(mesh, view.sonar.height, N_FACES, key=fold_in(odd_key, 1))
+    mesh = replace(mesh, reflectivity=jnp.where(odd, painted, 1.0))
     quality = RenderQuality(settings.sub_beams, settings.elevations)
     alone, seen = render_scenes(mesh, view, quality)
     echoes = render_bounces(remove_walls(mesh), Pose(), view.sonar, model, quality=quality)
     image = observe(seen, model, key=noise_key, bounces=echoes)
+    image = _resampled(image, settings.smoothed, key=fold_in(odd_key, 2))
     box = draw_box(alone.labels(), key=box_key)
     patch = jnp.round(255 * jnp.clip(cut_box(image, box), 0.0, 1.0)) / 255
     return Pairs(patch, cut_labels(alone.highlight, alone.shadow, box))
+
+
+def _resampled(image: Array, share: float, *, key: Array) -> Array:
+    """An image (range, beam) smoothed, in this share of all draws, as by going to a fan picture and back."""
+    happens, width = jax.random.uniform(key, (3,))[0] < share, SMOOTHING * jax.random.uniform(key, (3,))[1:]
+    for axis in (0, 1):
+        place = jnp.arange(image.shape[axis])
+        weights = jnp.exp(-jnp.square((place[:, None] - place) / jnp.maximum(width[axis], 0.1)) / 2)
+        weights = weights / weights.sum(axis=1, keepdims=True)
+        image = jnp.where(happens, jnp.moveaxis(jnp.tensordot(weights, image, (1, axis)), 0, axis), image)
+    return image

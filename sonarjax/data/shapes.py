@@ -1,4 +1,4 @@
-"""Meshes of fixed topology whose vertices are computed under jit: piles of boxes, cylinders and balls in one `Mesh`.
+"""Meshes of fixed topology whose vertices are computed under jit: boxes, cylinders, balls and tubes in one `Mesh`.
 
 A `Mesh` says on the host how many triangles a slice may cross: here a bound that holds for the whole family. Triangles
 that a shape does not need have no area, and the renderer never sees those.
@@ -19,17 +19,20 @@ MOST_BOXES = 4
 """Boxes in a pile, at most: the bricks of Fig. 4."""
 SIDES = 16
 """Sides of a cylinder."""
-N_VERTICES, N_FACES, N_CREASES = 42, 80, 4 * MOST_BOXES
-"""Vertices, triangles and sharp vertices of every shape; the ball needs most of the first two."""
-BALL_VERTICES = 42
+RINGS, RING_SIDES = 9, 8
+"""Rings of a tube, and the sides of each."""
+N_VERTICES, N_FACES, N_CREASES = RINGS * RING_SIDES + 2, 2 * RINGS * RING_SIDES, 4 * MOST_BOXES
+"""Vertices, triangles and sharp vertices of every shape; the tube needs most of the first two."""
+BALL_VERTICES, CYLINDER_VERTICES = 42, 2 * SIDES + 2
 WALL_FACES = 6
-BOXES, CYLINDER, BALL = range(3)
+BOXES, CYLINDER, BALL, TUBE = range(4)
 """The kinds of shape, as `shape_mesh` numbers them."""
 
 # Front faces that one slice crosses: 2 quads × 2 triangles of each upright box, 3 × 2 of one that leans; 9 sides of a
-# cylinder × 2, or fewer and as many triangles of a cap instead; fewer of the ball. Walls: two quads.
-CROSSINGS = max(4 * MOST_BOXES + 2, 2 * (SIDES // 2 + 1) + 2) + 4
-"""Triangles of a `shape_mesh` that a slice crosses and that look at the sonar, at most."""
+# cylinder × 2, or fewer and as many triangles of a cap instead; fewer of the ball. A slice along a tube crosses its
+# near and its far wall in each of its segments; of few tubes more, which then lose some. Walls of the tank: two quads.
+CROSSINGS = 32
+"""Room for the triangles of a `shape_mesh` that a slice crosses and that look at the sonar."""
 _CORNERS = box((1.0, 1.0, 1.0), (0.0, 0.0, 0.0))[0].astype(np.float32)
 
 
@@ -61,15 +64,36 @@ _CYLINDER = cylinder_arrays(1.0, 1.0, SIDES)
 _PILE = join(*[box((1.0, 1.0, 1.0), (0.0, 0.0, 0.0))] * MOST_BOXES)
 
 
+def _tube_faces() -> np.ndarray:
+    """Rings joined by quads, and a fan over both ends; outwards where the path goes up and sides run to port."""
+    faces = []
+    for ring in range(RINGS - 1):
+        for side in range(RING_SIDES):
+            beside = (side + 1) % RING_SIDES
+            a, b, c, d = (k * RING_SIDES + s for k in (ring, ring + 1) for s in (side, beside))
+            faces += [(a, b, d), (a, d, c)]
+    first, last = RINGS * RING_SIDES, RINGS * RING_SIDES + 1
+    for side in range(RING_SIDES):
+        beside = (side + 1) % RING_SIDES
+        top = (RINGS - 1) * RING_SIDES
+        faces += [(first, beside, side), (last, top + side, top + beside)]
+    return np.array(faces)
+
+
 def _padded(values: np.ndarray, size: int) -> np.ndarray:
     return np.concatenate([values, np.zeros((size - len(values), *values.shape[1:]), values.dtype)])
 
 
-_FACES = np.stack([_padded(faces, N_FACES) for _, faces in (_PILE, _CYLINDER, _BALL)]).astype(np.int32)
+_FACES = np.stack([_padded(faces, N_FACES) for faces in (_PILE[1], _CYLINDER[1], _BALL[1], _tube_faces())]).astype(
+    np.int32
+)
 _ROUND = np.stack([_padded(points, N_VERTICES) for points, _ in (_CYLINDER, _BALL)]).astype(np.float32)
 # Boxes: the upper four corners, above the lower four unless it leans; cylinders: every second vertex of both rims.
 _TOPS = [8 * number + corner for number in range(MOST_BOXES) for corner in range(4, 8)]
-_CREASES = np.stack([_TOPS, np.arange(0, 2 * SIDES, 2 * SIDES // N_CREASES), [0] * N_CREASES]).astype(np.int32)
+_OUTLINE = [*range(RING_SIDES), *range((RINGS - 1) * RING_SIDES, RINGS * RING_SIDES)]  # both ends of a tube
+_CREASES = np.stack([_TOPS, np.arange(0, 2 * SIDES, 2 * SIDES // N_CREASES), [0] * N_CREASES, _OUTLINE]).astype(
+    np.int32
+)
 
 
 def box_vertices(
@@ -91,6 +115,20 @@ def round_vertices(
     ball = kind == BALL
     scale = jnp.stack([radius, radius, jnp.where(ball, radius, length)])
     return jnp.asarray(_ROUND)[jnp.where(ball, 1, 0)] * scale
+
+
+def tube_vertices(
+    path: Float[Array, "ring 3"], across: Float[Array, "ring 3"], up: Float[Array, "ring 3"],
+    radii: Float[Array, "ring side"],
+) -> Float[Array, "vertex 3"]:  # fmt: skip
+    """Vertices (vertex, 3) [m] of a tube of rings around a `path` (ring, 3) [m], each with `radii` (ring, side) [m].
+
+    A ring lies in the plane of the unit vectors `across` and `up` (ring, 3), whose cross product looks along the path.
+    """
+    angle = 2 * math.pi * np.arange(RING_SIDES) / RING_SIDES
+    direction = np.cos(angle)[:, None] * across[:, None] + np.sin(angle)[:, None] * up[:, None]
+    rings = path[:, None] + radii[..., None] * direction
+    return jnp.concatenate([rings.reshape(-1, 3), path[:1], path[-1:]])
 
 
 def shape_mesh(kind: Int[Array, ""], vertices: Float[Array, "vertex 3"], walls: Float[Array, "wall 3"]) -> Mesh:

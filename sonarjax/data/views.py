@@ -25,7 +25,7 @@ TABLE_SHARE = 0.75
 DIDSON_SHARE = 0.4
 """How often beams and bins are those of §4.1."""
 DIDSON_SPACING, DIDSON_BIN_M = math.radians(29.0 / 96), 2.5 / 512
-WALLS_SHARE, PLATFORM_SHARE = 0.4, 0.06
+WALLS_SHARE, PLATFORM_SHARE = 0.4, 0.1
 """How often there are tank walls, and how often the floor is a platform a little larger than the object."""
 FREQUENCIES = (1.1e6, 1.8e6, 2.1e6, 3.0e6)
 """Frequencies of other devices [Hz]."""

@@ -110,15 +110,19 @@ class TargetSearch:
         if not indices:
             raise SonarjaxError(f"{self.name}: at no distance inside the sonar's view is any part of it visible")
         found = self.engine.map(lambda k: self._match(k, True, *small), indices)
-        index = self._nearest(max((m for m in found if m is not None), key=lambda m: m.scores.max()))
+        first = max(found, key=lambda match: match.scores.max())
+        index = self._in_view(self._nearest(first), masked)
         best = self._match(index, False, image, mask)
-        closer = self._nearest(best) if best is not None else index
-        if closer != index:
-            again = self._match(closer, False, image, mask)
-            best = again if best is None or (again is not None and again.scores.max() > best.scores.max()) else best
-        if best is None:
-            raise SonarjaxError(f"{self.name}: no part of it is visible where it was found")
-        return best
+        closer = self._in_view(self._nearest(best), masked)
+        if closer == index:
+            return best
+        again = self._match(closer, False, image, mask)
+        return again if again.scores.max() > best.scores.max() else best
+
+    def _in_view(self, index: int, masked: bool) -> int:
+        """The distance next to number `index` at which some of the object is in view; `find` saw that there is one."""
+        nearest_first = sorted(range(len(self.distances)), key=lambda k: abs(k - index))
+        return next(k for k in nearest_first if self._bank(k, False, masked) is not None)
 
     def place(self, match: Match) -> tuple[float, float]:
         """Ground (x, y) [m] of the object of a match."""
@@ -155,10 +159,10 @@ class TargetSearch:
     def _nearest(self, match: Match) -> int:
         return int(np.argmin(np.abs(self.distances - math.hypot(*self.place(match)))))
 
-    def _match(self, index: int, coarse: bool, image: np.ndarray, mask: np.ndarray | None) -> Match | None:
+    def _match(self, index: int, coarse: bool, image: np.ndarray, mask: np.ndarray | None) -> Match:
+        """The best place for each template of a bank in which something is in view."""
         entry = self._bank(index, coarse, mask is not None)
-        if entry is None:
-            return None
+        assert entry is not None
         found = match_positions(image, entry.prepared, mask, min_valid=MIN_VALID, whole=True)
         scores, row, column = jax.device_get((found.scores, found.row, found.col))
         best = int(scores.argmax())

@@ -17,7 +17,18 @@ from jaxopt import LevenbergMarquardt
 from jaxtyping import Array, Bool, Float, Int
 
 from sonarjax.refine.objective import ROW_STRIDE, Blur, Problem, box_around, crop_score, make_blur, normalised
-from sonarjax.refine.template import EITHER, POSE, VIEWS, Subject, layers_with_slope, paint, paint_with_slope
+from sonarjax.refine.template import (
+    EITHER,
+    POSE,
+    VIEWS,
+    EchoLaw,
+    Subject,
+    echo_laws,
+    layers_with_slope,
+    paint,
+    paint_with_slope,
+    semantic_template,
+)
 
 TRUST = (0.12, 0.02, 0.02, 0.2)
 """Largest step in yaw [rad], x, y [m] and a bounce's energy that is believed."""
@@ -55,8 +66,10 @@ class Found(NamedTuple):
     """Yaw [rad], x [m] and y [m] from the start, and the bounce's energy for the echo."""
     template: Float[Array, "range beam"]
     """What is rendered there, see `draw`."""
+    labels: Float[Array, "range beam"]
+    """The semantic template there, less the background's 0.5."""
     slope: Float[Array, "step range beam"]
-    """Its derivatives by each number of `step`."""
+    """The fitted template's derivatives by each number of `step`."""
     remaining: Float[Array, "step"]
     """The step that the linear model would still take from there, as a share of the trust region."""
 
@@ -70,6 +83,8 @@ class Solution(NamedTuple):
     """1 where a pixel counted: it was measured, and lies inside the start's margin."""
     views: Int[Array, ""]
     """Which template was fitted, see `VIEWS`: where either would do, the one that fits the start better."""
+    law: EchoLaw
+    """How the echo is stored: of all laws that are tried the one that fits the start best."""
     start_score: Float[Array, ""]
     """NCC of the start's template, unblurred."""
     renders: Int[Array, ""]
@@ -92,21 +107,21 @@ def coarse_to_fine(problem: Problem, search: Search) -> Solution:
     last = len(search.blurs) - 1
     ladder = jax.vmap(lambda sigma: make_blur(shape, sigma))(search.blurs)
     trust = jnp.asarray(TRUST)
-    either = problem.subject.views == EITHER
+    is_echo = problem.subject.views != VIEWS["semantic"]
 
     def iterate(state: _State) -> _State:
         blur = jax.tree.map(lambda v: v[state.level], ladder)
         solution, first = state.solution, state.solution.renders == 0
         layers, slopes = layers_with_slope(replace(problem.subject, views=solution.views), state.step)
-        choose = partial(_better_template, problem, layers, search)
-        views = jax.lax.cond(first & either, choose, lambda: solution.views)
-        subject = replace(problem.subject, views=views)
+        choose = partial(_best_template, problem, layers, search)
+        views, law = jax.lax.cond(first & is_echo, choose, lambda: (solution.views, solution.law))
+        subject = replace(problem.subject, views=views, law=law)
         drawn, slope = paint_with_slope(subject, layers, slopes, state.step[POSE])
         # Here rather than before the loop, which would compile the renderer twice.
         weight = jnp.where(first, problem.weight * box_around(drawn, problem.margin), solution.weight)
         start_score = crop_score(problem.image, drawn, problem.weight, search.score_margin)
         change, cost = _linear_step(problem.image, weight, blur, drawn, slope, trust)
-        here = Found(cost, state.step, drawn, slope, change / trust)
+        here = Found(cost, state.step, drawn, semantic_template(layers), slope, change / trust)
         finest = state.level == last
         better = finest & (cost < solution.best.cost)
         best = jax.tree.map(lambda new, old: jnp.where(better, new, old), here, solution.best)
@@ -122,31 +137,35 @@ def coarse_to_fine(problem: Problem, search: Search) -> Solution:
             step=next_step,
             done=finest & over,
             solution=Solution(
-                best, weight, views, jnp.where(first, start_score, solution.start_score), solution.renders + 1
+                best, weight, views, law, jnp.where(first, start_score, solution.start_score), solution.renders + 1
             ),
         )
 
     start = jnp.clip(jnp.zeros(len(trust)), *search.bounds)
     dark, flat = jnp.zeros(shape), jnp.zeros((len(start), *shape))
-    none = Found(jnp.asarray(jnp.inf), start, dark, flat, jnp.ones_like(start))
+    none = Found(jnp.asarray(jnp.inf), start, dark, dark, flat, jnp.ones_like(start))
     zero = jnp.zeros((), jnp.int32)
     # Both templates are painted from the echo's views.
-    begun = Solution(none, problem.weight, jnp.where(either, VIEWS["echo"], problem.subject.views), jnp.zeros(()), zero)
+    views = jnp.where(is_echo, VIEWS["echo"], VIEWS["semantic"])
+    begun = Solution(none, problem.weight, views, problem.subject.law, jnp.zeros(()), zero)
     return jax.lax.while_loop(
         lambda state: ~state.done, iterate, _State(zero, zero, start, jnp.zeros((), bool), begun)
     ).solution
 
 
-def _better_template(problem: Problem, layers: Array, search: Search) -> Int[Array, ""]:
-    """The template of the start's `layers` whose NCC with the image is larger, as in `VIEWS`."""
+def _best_template(problem: Problem, layers: Array, search: Search) -> tuple[Int[Array, ""], EchoLaw]:
+    """The template of the start's `layers`, as in `VIEWS`, and the echo's law, whose NCC with the image is largest."""
 
     def score(subject: Subject) -> Array:
         drawn = paint(subject, layers, jnp.zeros(()))
         return crop_score(problem.image, drawn, problem.weight, search.score_margin)
 
     semantic, echo = (jnp.int32(VIEWS[name]) for name in ("semantic", "echo"))
-    better = score(replace(problem.subject, views=echo)) >= score(replace(problem.subject, views=semantic))
-    return jnp.where(better, echo, semantic)
+    laws = jax.tree.map(jnp.asarray, echo_laws())
+    by_law = jax.lax.map(lambda law: score(replace(problem.subject, views=echo, law=law)), laws)
+    law = jax.tree.map(lambda v: v[jnp.argmax(by_law)], laws)
+    plain = (problem.subject.views == EITHER) & (score(replace(problem.subject, views=semantic)) > by_law.max())
+    return jnp.where(plain, semantic, echo), law
 
 
 def _linear_step(

@@ -7,11 +7,13 @@ rendered view of the object; the echo needs a second one, of its mirror image in
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from sonarjax.records import record, static
@@ -31,8 +33,37 @@ BOUNCE_BOUNDS: dict[str, tuple[float, float]] = {"semantic": (0.0, 0.0), "echo":
 POSE = 3
 """Numbers of a step that move the object: yaw, x and y. The bounce's energy follows them."""
 BACKGROUND = 0.5  # of the semantic image
-DEVICE = SensorModel()  # the nominal device: how bright an echo is beside floor and shadow, and how it is stored
-OBJECT_GAIN = 10 ** (DEVICE.object_gain / 10)
+GAINS_DB, NOISES, EXPONENTS = (2.0, 8.0, 14.0), (0.03, 0.2), (0.06, 0.25, 0.5)
+"""Gains [dB], noises and exponents that are tried in all combinations."""
+FLOOR_PATH = SensorModel().floor_path  # of the echo that comes by way of the floor: on both ways
+
+
+@record
+class EchoLaw:
+    """How a device stores an echo: what decides how bright it is beside floor and shadow."""
+
+    gain: Float[Array, "*batch"]
+    """Backscatter of the object relative to the floor's [1]."""
+    noise: Float[Array, "*batch"]
+    """Energy in a shadow relative to the floor's [1]."""
+    exponent: Float[Array, "*batch"]
+    """Power of energy that is stored [1]; a small one stands for a logarithm."""
+
+
+def echo_laws() -> EchoLaw:
+    """The laws (law,) that are tried on a frame; the first is the nominal device's.
+
+    Their ranges are those of the devices that the package draws (`sensor.model`).
+    """
+    device = SensorModel()
+    tried = [(device.object_gain, device.noise, device.exponent), *itertools.product(GAINS_DB, NOISES, EXPONENTS)]
+    gain, noise, exponent = (np.asarray(v, np.float32) for v in zip(*tried, strict=True))
+    return EchoLaw(*(jnp.asarray(v) for v in (10 ** (gain / 10), noise, exponent)))
+
+
+def nominal_law() -> EchoLaw:
+    """The nominal device's law: the first of those that are tried."""
+    return jax.tree.map(lambda v: jnp.asarray(v[0]), echo_laws())
 
 
 @record
@@ -51,6 +82,8 @@ class Subject:
     """How sharply a semantic template is labelled: see `labelled`."""
     views: Int[Array, ""]
     """1 for the semantic template, 2 for the echo, see `VIEWS`."""
+    law: EchoLaw
+    """How the echo is stored."""
     quality: RenderQuality = static()
     """How finely it is rendered."""
 
@@ -137,10 +170,16 @@ def paint(
     return jnp.where(subject.views > 1, _stored_echo(subject, echo + bounce * bounced, shadow), grey)
 
 
+def semantic_template(layers: Float[Array, "view layer range beam"]) -> Float[Array, "range beam"]:
+    """The semantic image of the layers of `render_layers`, less the background's 0.5; not sharpened."""
+    _, highlight, shadow = layers[0]
+    return semantic_image(highlight, shadow) - BACKGROUND
+
+
 def _views(subject: Subject, pose: Pose) -> tuple[Array, ...]:
     """The object as it stands, and mirrored in the floor: vertices, faces, lift [m], sonar height [m] and aperture."""
     mesh, sonar = subject.mesh, subject.sonar
-    mirrored, lift, lifted = without_floor(bounce_mesh(mesh, pose, sonar, 0.0, DEVICE.floor_path), sonar)
+    mirrored, lift, lifted = without_floor(bounce_mesh(mesh, pose, sonar, 0.0, FLOOR_PATH), sonar)
     as_it_is = pose.to_ground(mesh.vertices), mesh.faces, 0.0, sonar.height, sonar.elevation_aperture
     bounced = mirrored.vertices, mirrored.faces, lift.z, lifted.height, lifted.elevation_aperture
     # The mirror image's own shadow is not looked at.
@@ -148,13 +187,8 @@ def _views(subject: Subject, pose: Pose) -> tuple[Array, ...]:
 
 
 def _stored_echo(subject: Subject, echo: Array, shadow: Array) -> Array:
-    """What a nominal device stores of an echo [rad] over the floor outside the shadow (range, beam)."""
-    window, sonar = subject.window, subject.sonar
+    """What a device stores of an echo [rad] over the floor outside the shadow (range, beam)."""
+    window, sonar, law = subject.window, subject.sonar, subject.law
     ranges = jax.lax.dynamic_slice(range_middles(sonar), (window.row,), window.shape[:1])
-    energy = OBJECT_GAIN * echo / floor_angle(ranges, sonar)[:, None]
-    return _stored(energy + 1 - shadow) - _stored(1.0)
-
-
-def _stored(energy: Any) -> Any:
-    """Grey value of `energy`, in units of the bare floor's."""
-    return (energy + DEVICE.noise) ** DEVICE.exponent
+    energy = law.gain * echo / floor_angle(ranges, sonar)[:, None]
+    return (energy + 1 - shadow + law.noise) ** law.exponent - (1 + law.noise) ** law.exponent

@@ -10,7 +10,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
@@ -19,7 +19,7 @@ from sonarjax.refine.config import RefineConfig
 from sonarjax.refine.implicit import attach, hessian, is_minimum, without_gradient
 from sonarjax.refine.objective import Problem, crop_score, make_blur, normalised
 from sonarjax.refine.solver import SETTLED_SHARE, STATIONARY_SHARE, TRUST, Found, Search, Solution, coarse_to_fine
-from sonarjax.refine.template import BOUNCE_BOUNDS, VIEWS, Subject, pose_at
+from sonarjax.refine.template import BOUNCE_BOUNDS, VIEWS, Subject, nominal_law, pose_at
 from sonarjax.render import RenderQuality, WindowSize, place_window, plan_window
 from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS
 from sonarjax.render.simulate import one_by_one
@@ -28,6 +28,8 @@ from sonarjax.sonar import Sonar
 
 SLACK_M = 0.06
 """Room around the start inside the window [m]."""
+CORRELATED_BEAMS = 5
+"""Beams over which residuals err together, less and less, in `yaw_std`."""
 INSIDE = 0.98
 """Share of the bounds inside which a solution is an interior one."""
 
@@ -62,6 +64,20 @@ class YawEstimate:
         return Pose(self.x, self.y, self.yaw)
 
 
+@record
+class Drawn:
+    """What was drawn at the solutions, each in its own window of the frame."""
+
+    template: Float[Array, "*batch row column"]
+    """The template that was fitted, as what it differs from the bare floor."""
+    labels: Float[Array, "*batch row column"]
+    """The semantic template, less the background's 0.5."""
+    row: Int[Array, "*batch"]
+    """First range bin of the window."""
+    column: Int[Array, "*batch"]
+    """First beam of the window."""
+
+
 def refine_yaw(
     image: Any,
     mesh: Mesh,
@@ -86,6 +102,14 @@ def refine_yaw(
 
     Raises SonarjaxError when the shapes do not fit the sonar.
     """
+    return refine_and_draw(image, mesh, sonar, start, mask, config, window, engine)[0]
+
+
+def refine_and_draw(
+    image: Any, mesh: Mesh, sonar: Sonar, start: Pose, mask: Any, config: RefineConfig, window: WindowSize | None,
+    engine: Engine,
+) -> tuple[YawEstimate, Drawn]:  # fmt: skip
+    """As `refine_yaw`, with what was drawn at the solutions."""
     traced = is_traced(image, mask, mesh, sonar, start)
     array = jnp if traced else np  # on the host NumPy cuts and joins without compiling anything
     image = array.asarray(image, np.float32)
@@ -108,15 +132,15 @@ def refine_yaw(
     if traced:
         jobs = images[which], weights[which], starts
         found = one_by_one(lambda job: _refine(*job[:2], mesh, sonar, job[2], *settings, **static), jobs)
-        return jax.tree.map(lambda v: v.reshape(axes), found)
+        return jax.tree.map(lambda v: v.reshape((*axes, *v.shape[1:])), found)
 
-    def job(k: int) -> YawEstimate:
+    def job(k: int) -> tuple[YawEstimate, Drawn]:
         begin = jax.tree.map(lambda v: v[k], starts)
         done = engine.run(_refine, images[which[k]], weights[which[k]], mesh, sonar, begin, *settings, **static)
         return jax.tree.map(np.asarray, done)
 
     found = engine.map(job, range(count))
-    return jax.tree.map(lambda *v: jax.device_put(np.stack(v).reshape(axes)), *found)
+    return jax.tree.map(lambda *v: jax.device_put(np.stack(v).reshape((*axes, *v[0].shape))), *found)
 
 
 def prepare_refinement(
@@ -174,11 +198,12 @@ def _settings(config: RefineConfig) -> tuple[Any, ...]:
 def _refine(
     image: Array, weight: Array, mesh: Mesh, sonar: Sonar, start: Pose, search: Search, sharpness: Array, views: Array,
     margin: Array, *, size: WindowSize, quality: RenderQuality, polished: bool,
-) -> YawEstimate:  # fmt: skip
+) -> tuple[YawEstimate, Drawn]:  # fmt: skip
     """One start in one image: the window is cut out, searched, and the derivative attached."""
     window = without_gradient(place_window(size, mesh, sonar, start.x, start.y, SLACK_M))
     part, measured = (jax.lax.dynamic_slice(v, (window.row, window.column), size.shape) for v in (image, weight))
-    problem = Problem(part, measured, Subject(mesh, sonar, start, window, sharpness, views, quality), margin)
+    subject = Subject(mesh, sonar, start, window, sharpness, views, nominal_law(), quality)
+    problem = Problem(part, measured, subject, margin)
     fixed = without_gradient(problem)
     solution = coarse_to_fine(fixed, search)
     best = solution.best
@@ -199,7 +224,7 @@ def _refine(
         determined = settled & is_minimum(curvature, free)
         step = attach(step, fitted, blur, curvature, free, determined)
     pose = pose_at(without_gradient(start), step)
-    return YawEstimate(
+    estimate = YawEstimate(
         yaw=pose.yaw % (2 * jnp.pi),
         x=pose.x,
         y=pose.y,
@@ -209,18 +234,23 @@ def _refine(
         converged=converged,
         determined=determined,
     )
+    row, column = jnp.asarray(window.row), jnp.asarray(window.column)
+    return estimate, without_gradient(Drawn(best.template, best.labels, row, column))
 
 
 def _as_solved(problem: Problem, solution: Solution) -> Problem:
     """The problem with pixels and template as the search chose them: its objective no longer depends on the start."""
-    return problem._replace(weight=solution.weight, subject=replace(problem.subject, views=solution.views))
+    return problem._replace(
+        weight=solution.weight, subject=replace(problem.subject, views=solution.views, law=solution.law)
+    )
 
 
 def _yaw_std(image: Array, weight: Array, found: Found) -> Array:
     """Square root of the yaw entry of (JᵀJ)⁻¹·B·(JᵀJ)⁻¹, J of the image fitted by gain·template + offset.
 
-    B sums the outer products of each beam's Jᵀr (White 1980, by clusters): residuals along a beam err together where
-    an edge is a little off, so the plain σ²(JᵀJ)⁻¹ is far too small. Infinite where nothing could be compared.
+    B sums the outer products of the Jᵀr of pairs of beams, those `CORRELATED_BEAMS` and more apart left out (Newey and
+    West, Econometrica 55, 1987): residuals along a beam and of its neighbours err together where an edge is a little
+    off, so the plain σ²(JᵀJ)⁻¹ is far too small. Infinite where nothing could be compared.
     """
     drawn = found.template
     fitted, seen = normalised(drawn, weight), normalised(image, weight)
@@ -233,6 +263,8 @@ def _yaw_std(image: Array, weight: Array, found: Found) -> Array:
     by_beam = jnp.einsum("irb,rb->ib", slope, left)
     ridge = 1e-6 * jnp.trace(information) + 1e-12
     inverse = jnp.linalg.inv(information + ridge * jnp.eye(len(information)))
-    covariance = inverse @ (by_beam @ by_beam.T) @ inverse
+    apart = np.abs(np.arange(image.shape[1])[:, None] - np.arange(image.shape[1]))
+    together = jnp.asarray(np.maximum(1 - apart / CORRELATED_BEAMS, 0.0), jnp.float32)
+    covariance = inverse @ (by_beam @ together @ by_beam.T) @ inverse
     known = jnp.isfinite(found.cost) & jnp.isfinite(covariance[0, 0]) & (information[0, 0] > 0)
     return jnp.where(known, jnp.sqrt(jnp.maximum(covariance[0, 0], 0.0)), jnp.inf)

@@ -28,12 +28,14 @@ def strength(
 
 
 def object_energy(
-    ends: Ends, slabs: Slabs, scene: Scene, sonar: Sonar, elevations: int, edges: Float[Array, "edge"]
-) -> Float[Array, "slab range"]:
+    ends: Ends, slabs: Slabs, scene: Scene, sonar: Sonar, elevations: int, edges: Float[Array, "edge"],
+    reflectivity: Float[Array, "face"] | None = None,
+) -> Float[Array, "slab range"]:  # fmt: skip
     """Energy [rad/m²] per range bin of each slab, from the visible intervals' `ends`; `edges` (edge,) [m].
 
     Each interval is cut into cells, so that a slice has about `elevations` of them; a cell's energy is spread evenly
-    over the ranges it covers and what its surface moves in range across the slab.
+    over the ranges it covers and what its surface moves in range across the slab. `reflectivity` (face,) multiplies
+    what each triangle sends back.
     """
     intervals = ends.tau.shape[1] // 2
     cells = max(1, math.ceil(elevations / min(intervals, USUAL_INTERVALS)))
@@ -52,7 +54,10 @@ def object_energy(
     far = jnp.clip(jnp.maximum(distance[..., 1:], distance[..., :-1]), nearest, farthest)
     angle = jnp.diff(jnp.arctan(tau), axis=-1)
     energy = angle * strength((near + far) / 2, (cosine[..., 1:] + cosine[..., :-1]) / 2, sonar) / 2
-    energy = jnp.where(ends.surface[:, :intervals, None] >= 0, energy, 0.0)
+    surface = ends.surface[:, :intervals, None]
+    energy = jnp.where(surface >= 0, energy, 0.0)
+    if reflectivity is not None:
+        energy = energy * reflectivity[jnp.maximum(surface, 0)]
     # Half of the energy in each half of the slab. A box's spread over elevation and one over azimuth make a box here
     # whose variance is the sum of theirs; one as wide as both together would smear narrow echoes.
     centre, moved = (near + far) / 2, (slope[..., 1:] + slope[..., :-1]) / 8

@@ -111,7 +111,7 @@ def render_window(mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, quality:
     highlight = _per_beam(slabs, covered(*_pulsed(*echo_spans, sonar), visible.spans.echo_spans, rows))
     shadow = _per_beam(slabs, covered(*occluded_spans, visible.spans.occluded_spans, rows))
     ends = all_ends(visible.intervals, visible.segments, visible.table)
-    echo = _per_beam(slabs, object_energy(ends, slabs, scene, sonar, elevations, edges))
+    echo = _per_beam(slabs, object_energy(ends, slabs, scene, sonar, elevations, edges, mesh.reflectivity))
     floor = platform_lit(azimuth, scene, sonar, edges)
     bare = floor_energy(azimuth, scene, sonar, edges) * floor
     lit = (floor_lit(azimuth, scene, edges) & floor) | (highlight > 0.5)

@@ -57,6 +57,8 @@ class Mesh:
     """False when no two triangles pass through each other: slices then hold half as many visible intervals."""
     events: int = static(default=MAX_EVENTS)
     """Room for the crease vertices at whose azimuths a view's slabs end; the steepest silhouettes come first."""
+    reflectivity: Float[Array, "*batch face"] | None = None
+    """What each triangle sends back, times what a triangle of 1 does [1]; None: all are alike."""
 
     @classmethod
     def load(cls, path: str | Path, unit_m: float | None = None) -> Mesh:
@@ -146,9 +148,11 @@ def stack_meshes(meshes: Sequence[Mesh]) -> Mesh:
     vertices, faces, crease = (
         max(getattr(m, name).shape[0] for m in meshes) for name in ("vertices", "faces", "crease")
     )
+    painted = any(mesh.reflectivity is not None for mesh in meshes)
     alike = [
         replace(
             mesh,
+            reflectivity=_reflectivity(mesh, faces) if painted else None,
             vertices=_padded_to(mesh.vertices, vertices),
             faces=jnp.pad(mesh.faces, ((0, faces - mesh.n_faces), (0, 0))),
             crease=_padded_to(mesh.crease, crease),
@@ -160,6 +164,12 @@ def stack_meshes(meshes: Sequence[Mesh]) -> Mesh:
         for mesh in meshes
     ]
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *alike)
+
+
+def _reflectivity(mesh: Mesh, faces: int) -> Array:
+    """What each triangle sends back (face,), padded with ones."""
+    own = jnp.ones(mesh.n_faces) if mesh.reflectivity is None else mesh.reflectivity
+    return jnp.pad(own, (0, faces - mesh.n_faces), constant_values=1.0)
 
 
 def _padded_to(values: Array, size: int) -> Array:

@@ -14,11 +14,12 @@ outside is background; only the map of `none` is the frame there as well.
 """
 
 from sonarjax.segment.classical import to_grey
+from sonarjax.segment.rule import EVIDENCE, IdentificationRule
 from sonarjax.segment.segmenters import DEFAULT_SEGMENTER, SEGMENTERS, Segmenter, check_segmenter, load_segmenter
 from sonarjax.segment.tiled import segment
 from sonarjax.segment.weights import GeneratorWeights
 
 __all__ = [
-    "DEFAULT_SEGMENTER", "SEGMENTERS", "GeneratorWeights", "Segmenter", "check_segmenter", "load_segmenter", "segment",
-    "to_grey",
+    "DEFAULT_SEGMENTER", "EVIDENCE", "SEGMENTERS", "GeneratorWeights", "IdentificationRule", "Segmenter",
+    "check_segmenter", "load_segmenter", "segment", "to_grey",
 ]  # fmt: skip

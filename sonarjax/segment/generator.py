@@ -10,6 +10,7 @@ from flax import linen as nn
 from jaxtyping import Array, Float
 
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.segment.inputs import Inputs, network_input
 from sonarjax.segment.layers import Backend, Down, Up
 from sonarjax.segment.normalise import BatchNorm
 
@@ -41,6 +42,8 @@ class Generator(nn.Module):
     """Type of the maps; bfloat16 is faster on GPUs. Parameters and statistics stay float32."""
     backend: Backend = "auto"
     """How the layers are computed, see `layers`."""
+    inputs: Inputs = "grey"
+    """What the first layer is shown of an image, see `inputs`."""
 
     @nn.compact
     def __call__(
@@ -53,7 +56,7 @@ class Generator(nn.Module):
         """
         if x.shape[1] % STRIDE or x.shape[2] % STRIDE:
             raise SonarjaxError(f"image: expected height and width to be multiples of {STRIDE}, got {x.shape[1:3]}")
-        layers = self._way_down(x, train)
+        layers = self._way_down(network_input(x, self.inputs), train)
         bottleneck = nn.Dense(layers[-1].shape[-1], dtype=self.dtype, kernel_init=nn.initializers.normal(0.02))
         y = self._way_up(nn.relu(bottleneck(layers[-1])), layers, train).astype(jnp.float32)
         return jnp.tanh(y) if self.head == "tanh" else y

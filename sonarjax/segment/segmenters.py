@@ -13,6 +13,7 @@ from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.safetensors import read_safetensors
 from sonarjax.segment.classical import CLASSICAL, THRESHOLDS, from_grey, threshold_labels, to_grey
+from sonarjax.segment.rule import RULES, IdentificationRule, read_rule
 from sonarjax.segment.tiled import TILE, segment
 from sonarjax.segment.weights import GeneratorWeights, load_generator, shipped_path
 
@@ -30,11 +31,13 @@ class Segmenter:
     name: str
     """Its name, or the weights file's."""
     threshold: float | None
-    """Least score of an identified target (eq. 5), from validation frames; None where nobody has measured it."""
+    """Least NCC of an identified target (eq. 5), from validation frames; None where nobody has measured it."""
     weights: GeneratorWeights | None = None
     """The network; None for a classical one."""
     tile: tuple[int, int] = TILE
     """Largest extent of a tile (range, beam) [pixels] that the network sees at once."""
+    rule: IdentificationRule | None = None
+    """Decides about refined matches; None leaves that to the threshold."""
 
     def semantic(
         self, image: Float[np.ndarray, "range beam"], mask: Bool[np.ndarray, "range beam"] | None = None,
@@ -66,7 +69,7 @@ def load_segmenter(name: str | os.PathLike[str] = DEFAULT_SEGMENTER) -> Segmente
     """
     text = os.fspath(name)
     if text in CLASSICAL:
-        return Segmenter(text, THRESHOLDS[text])
+        return Segmenter(text, THRESHOLDS[text], rule=RULES.get(text))
     check_segmenter(text)
     path = shipped_path() if text == NETWORK else text
     _, about = read_safetensors(path)
@@ -74,7 +77,9 @@ def load_segmenter(name: str | os.PathLike[str] = DEFAULT_SEGMENTER) -> Segmente
     two_sizes = isinstance(tile, list | tuple) and len(tile) == 2 and all(_is_number(v) and v > 0 for v in tile)
     if not (two_sizes and _is_number(threshold, optional=True)):
         raise SonarjaxError(f"{os.fspath(path)}: metadata: expected a number `threshold` and two numbers `tile`")
-    return Segmenter(text, threshold, load_generator(None if text == NETWORK else path), (int(tile[0]), int(tile[1])))
+    rule = read_rule(about.get("rule"), os.fspath(path))
+    weights = load_generator(None if text == NETWORK else path)
+    return Segmenter(text, threshold, weights, (int(tile[0]), int(tile[1])), rule)
 
 
 def _is_number(value: Any, optional: bool = False) -> bool:

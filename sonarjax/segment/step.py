@@ -20,6 +20,7 @@ from sonarjax.records import record, static
 from sonarjax.segment.discriminator import Discriminator
 from sonarjax.segment.generator import Generator, Head, to_grey
 from sonarjax.segment.initial import draw_variables
+from sonarjax.segment.inputs import Inputs
 from sonarjax.segment.layers import Backend
 from sonarjax.segment.loss import (
     Normaliser,
@@ -47,6 +48,8 @@ class GanConfig:
     """The generator's output: `tanh` grey, or the logits of three `classes`."""
     skips: bool = True
     """Skip connections of the generator."""
+    inputs: Inputs = "grey"
+    """What the generator is shown of an image: the `grey` itself, or `ranks`, which no display law changes."""
     dtype: str = "float32"
     """Type of the maps: `float32`, or `bfloat16` for GPUs."""
     backend: Backend = "auto"
@@ -77,7 +80,7 @@ class GanConfig:
     def generator(self) -> Generator:
         """The generator's module."""
         return Generator(
-            self.width, self.head, self.skips, self.multipliers, dtype=jnp.dtype(self.dtype), backend=self.backend
+            self.width, self.head, self.skips, self.multipliers, jnp.dtype(self.dtype), self.backend, self.inputs
         )
 
     def discriminator(self) -> Discriminator:

@@ -22,7 +22,8 @@ from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.safetensors import read_safetensors, write_safetensors
 from sonarjax.records import record, static
-from sonarjax.segment.generator import Generator, to_grey
+from sonarjax.segment.generator import Generator, Head, to_grey
+from sonarjax.segment.inputs import CHANNELS, Inputs
 
 Storage = Literal["float16", "float32"]
 """How kernels are stored: weights are about 0.02, where float16 has eight times the precision of bfloat16."""
@@ -121,9 +122,12 @@ def _module_of(arrays: Mapping[str, np.ndarray], name: str) -> Generator:
         output, channels = arrays["params.up15.kernel"].shape[2:]
         width = features[0]
         multipliers = tuple(f // width for f in features)
-    except (KeyError, IndexError, ValueError, ZeroDivisionError) as error:
+        shown = arrays["params.down1.kernel"].shape[2]
+        inputs: Inputs = next(name for name, count in CHANNELS.items() if count == shown)
+    except (KeyError, IndexError, ValueError, ZeroDivisionError, StopIteration) as error:
         raise SonarjaxError(f"{name}: expected the arrays of a generator (params.down1.kernel and others)") from error
-    return Generator(width, "tanh" if output == 1 else "classes", channels == 2 * width, multipliers)
+    head: Head = "tanh" if output == 1 else "classes"
+    return Generator(width, head, channels == 2 * width, multipliers, inputs=inputs)
 
 
 def segment_patch(

@@ -1,4 +1,4 @@
-"""How beams see each other's azimuth: array pattern with side lobes, crosstalk of firing groups, gains, streaks.
+"""What beams hear besides their own azimuth: side lobes, crosstalk of firing groups, gains, streaks, other pings.
 
 Mixing matrices (beam, source) act on rows of an image of mean energy (range, beam); each of their rows sums to one.
 """
@@ -78,3 +78,34 @@ def beam_gains(n_beams: int, std_db: Any, *, key: jax.Array) -> Float[Array, "be
     No source: a model of ours for what is left of the differences between a device's channels.
     """
     return 10 ** (jnp.asarray(std_db, jnp.float32) * jax.random.normal(key, (n_beams,)) / 10)
+
+
+def group_gains(n_beams: int, period: Any, std_db: Any, *, key: jax.Array) -> Float[Array, "beam"]:
+    """Gain (beam,) of each beam's energy by its firing group: every `period`-th beam shares one, `std_db` [dB] apart.
+
+    No source: a model of ours for the comb of bright and dark beams in frames of devices that fire in groups.
+    """
+    group = jnp.arange(n_beams) % jnp.maximum(jnp.asarray(period), 1.0).astype(jnp.int32)
+    each = jax.random.normal(key, (n_beams,))
+    return 10 ** (jnp.asarray(std_db, jnp.float32) * each[group] / 10)
+
+
+def dim_beams(n_beams: int, share: Any, loss_db: Any, *, key: jax.Array) -> Float[Array, "beam"]:
+    """Gain (beam,) of beams of which a `share` [1] hears `loss_db` [dB] less. No source: a model of ours."""
+    dim = jax.random.uniform(key, (n_beams,)) < jnp.asarray(share, jnp.float32)
+    return jnp.where(dim, 10 ** (-jnp.asarray(loss_db, jnp.float32) / 10), 1.0)
+
+
+def other_pings(shape: tuple[int, int], level: Any, *, key: jax.Array) -> Float[Array, "range beam"]:
+    """Energy (range, beam) of another sonar's pings, heard at two ranges by a few neighbouring beams or by all of them.
+
+    `level` is in units of the floor's energy on the beam axis. No source: a model of ours for short bright bars that
+    are no echo.
+    """
+    rows, beams = shape
+    place = jax.random.uniform(key, (4, 2))
+    row, beam = rows * place[0], beams * place[1]
+    length, width = 1 + 5 * place[2], beams * place[3] ** 2 + 1
+    along = jnp.exp(-jnp.square((jnp.arange(rows)[:, None] - row) / length) / 2)
+    across = jnp.exp(-jnp.square((jnp.arange(beams)[:, None] - beam) / width) / 2)
+    return jnp.asarray(level, jnp.float32) * (along @ across.T)

@@ -84,6 +84,32 @@ class SensorModel:
     exponent: Scalar = 0.25
     """Power of energy that is stored [1]: 0.5 is amplitude, 0.25 its square root."""
 
+    # What some devices and places have beside that; the nominal one has none of it.
+    saturation: Scalar = 0.0
+    """How far the power law bends towards white, as an arctangent of this steepness [1]."""
+    black: Scalar = 0.0
+    """Share of the whole scale that is shown as black [1]."""
+    reverberation: Scalar = 0.0
+    """Share of each bin's energy that arrives late, by way of floor, walls and object [1]."""
+    reverberation_length: Scalar = 0.2
+    """Decay length of what arrives late [m]."""
+    group_gain_std: Scalar = 0.0
+    """Standard deviation of the gains of the firing groups [dB]."""
+    dim_share: Scalar = 0.0
+    """Share of the beams that hear less [1]."""
+    dim_loss: Scalar = 10.0
+    """How much less those hear [dB]."""
+    unevenness: Scalar = 0.0
+    """Standard deviation of slow changes of brightness over the frame [dB]."""
+    ripple: Scalar = 0.0
+    """How much brighter the slopes of a rippled floor are that look at the sonar [1], below 1."""
+    ripple_wavelength: Scalar = 0.1
+    """Distance between the ripples' crests [m]."""
+    ripple_direction: Scalar = 0.0
+    """Direction on the floor that they run square to [rad]."""
+    other_pings: Scalar = 0.0
+    """Strength of another sonar's pings [energy of the floor on the beam axis]."""
+
     @classmethod
     def nominal(cls, severity: Scalar = 1.0) -> SensorModel:
         """A DIDSON in a tank; `severity` 0 is free of noise, 1 as hard as the paper's frames, 2 twice that.
@@ -96,16 +122,29 @@ class SensorModel:
     def draw(cls, *, key: jax.Array, severity: Scalar = 1.0) -> SensorModel:
         """A device of the family DIDSON, ARIS, Oculus and beyond: each field drawn from `RANGES`, noise scaled."""
         *keys, which = jax.random.split(key, len(RANGES) + 1)
-        drawn = {}
-        for (name, (low, high, kind)), part in zip(RANGES.items(), keys, strict=True):
-            share = jax.random.uniform(part)
-            drawn[name] = low * (high / low) ** share if kind == "log" else low + (high - low) * share
+        drawn = {name: _drawn(*RANGES[name], key=part) for name, part in zip(RANGES, keys, strict=True)}
         heard = jax.random.uniform(which, (2,)) < jnp.array([FLOOR_HEARD, SURFACE_HEARD])
         drawn |= {
             name: jnp.where(heard[i], drawn[name], 0.0) for i, name in enumerate(("floor_bounce", "surface_bounce"))
         }
         drawn["crosstalk_period"] = jnp.round(drawn["crosstalk_period"])
         return cls(**drawn).scaled(severity)
+
+    @classmethod
+    def draw_wide(cls, *, key: jax.Array, severity: Scalar = 1.0) -> SensorModel:
+        """A device and a place that may be odd in any way: what the network trains on.
+
+        As `draw`, with the fields of `WIDE` drawn from wider ranges; each field of `SELDOM` is there in its share of
+        the draws only.
+        """
+        own, keys, which = (jax.random.fold_in(key, n) for n in range(3))
+        device = cls.draw(key=own)
+        wider = {name: _drawn(*WIDE[name], key=jax.random.fold_in(keys, n)) for n, name in enumerate(WIDE)}
+        wider["log_share"] = jnp.clip(wider["log_share"], 0.0, 1.0)
+        for n, (name, share) in enumerate(SELDOM.items()):
+            there = jax.random.uniform(jax.random.fold_in(which, n)) < share
+            wider[name] = jnp.where(there, wider[name], getattr(cls, name))
+        return replace(device, **wider).scaled(severity)
 
     def scaled(self, severity: Scalar) -> SensorModel:
         """The same device with its noise and artefacts (`SCALED`) times `severity`."""
@@ -115,7 +154,14 @@ class SensorModel:
         return replace(self, **scaled)
 
 
-SCALED = ("crosstalk", "streak", "beam_gain_std", "noise", "speckle", "texture", "floor_bounce", "surface_bounce")
+def _drawn(low: float, high: float, kind: str, *, key: jax.Array) -> jax.Array:
+    """A number from `low` to `high`, even in itself or in its logarithm."""
+    share = jax.random.uniform(key)
+    return low * (high / low) ** share if kind == "log" else low + (high - low) * share
+
+
+SCALED = ("crosstalk", "streak", "beam_gain_std", "noise", "speckle", "texture", "floor_bounce", "surface_bounce",
+          "reverberation", "group_gain_std", "unevenness")  # fmt: skip
 """Fields that grow with severity."""
 
 FLOOR_HEARD, SURFACE_HEARD = 0.55, 0.2
@@ -153,3 +199,35 @@ RANGES: dict[str, tuple[float, float, str]] = {
     "exponent": (0.2, 0.5, "even"),
 }
 """Least and largest value of each field that `draw` gives at severity 1, and whether it is even in it or its log."""
+
+WIDE: dict[str, tuple[float, float, str]] = {
+    "object_gain": (0.0, 14.0, "even"),
+    "tvg_exponent": (2.0, 5.0, "even"),
+    "pulse_bins": (1.0, 7.0, "even"),
+    "texture": (0.02, 0.8, "log"),
+    "noise": (0.003, 0.2, "log"),
+    "looks": (1.0, 3.0, "even"),
+    "gain": (8.0, 29.0, "even"),
+    "log_share": (-0.5, 1.5, "even"),  # clipped to 0 and 1: half of the devices store one law alone
+    "dynamic_range": (25.0, 90.0, "even"),
+    "exponent": (0.15, 0.7, "even"),
+    "saturation": (0.0, 6.0, "even"),
+    "black": (0.0, 0.35, "even"),
+    "reverberation": (0.01, 0.5, "log"),
+    "reverberation_length": (0.03, 1.0, "log"),
+    "group_gain_std": (0.0, 1.5, "even"),
+    "dim_share": (0.0, 0.08, "even"),
+    "dim_loss": (3.0, 20.0, "even"),
+    "unevenness": (0.0, 2.5, "even"),
+    "ripple": (0.1, 0.7, "even"),
+    "ripple_wavelength": (0.03, 0.4, "log"),
+    "ripple_direction": (-1.6, 1.6, "even"),
+    "other_pings": (0.3, 20.0, "log"),
+}
+"""Ranges, as those of `RANGES`, that `draw_wide` takes instead or besides, at severity 1."""
+
+SELDOM: dict[str, float] = {
+    "saturation": 0.3, "black": 0.15, "reverberation": 0.6, "group_gain_std": 0.3, "dim_share": 0.2, "unevenness": 0.6,
+    "ripple": 0.15, "other_pings": 0.1,
+}  # fmt: skip
+"""Share of the devices of `draw_wide` that have a field at all; the others have the nominal value."""

@@ -14,7 +14,16 @@ from jaxtyping import Array, Float
 from sonarjax.render import RenderQuality, SonarFrame, render
 from sonarjax.render.simulate import place_together, with_enough_room
 from sonarjax.scene import Mesh, Pose
-from sonarjax.sensor.beams import beam_gains, beam_mixing, crosstalk_mixing, streaks
+from sonarjax.sensor.beams import (
+    beam_gains,
+    beam_mixing,
+    crosstalk_mixing,
+    dim_beams,
+    group_gains,
+    other_pings,
+    streaks,
+)
+from sonarjax.sensor.bottom import ripple_brightness, slow_brightness
 from sonarjax.sensor.display import compress, quantise
 from sonarjax.sensor.model import SensorModel
 from sonarjax.sensor.multipath import render_bounces
@@ -23,6 +32,7 @@ from sonarjax.sensor.propagation import (
     elevation_gain,
     floor_elevation,
     fresh_absorption,
+    late_reverberation,
     noise_floor,
     pulse_blur,
     range_middles,
@@ -63,11 +73,22 @@ def observe(
     gains_key, texture_key, speckle_key = jax.random.split(key, 3)
     energy = received_energy(frame, model, bounces) * beam_gains(sonar.n_beams, model.beam_gain_std, key=gains_key)
     energy = energy * gamma_texture(sonar.shape, model.texture, key=texture_key)
+    energy = _with_oddities(energy, sonar, model, key=jax.random.fold_in(key, 3))
     noise = noise_floor(range_middles(sonar), model.noise, reference_range(sonar))
     energy = (energy + noise[:, None]) * speckle(sonar, model, key=speckle_key)
     agc = jnp.asarray(model.automatic_gain, jnp.float32)
     energy = energy * jnp.maximum(energy.mean(), 1e-6) ** -agc
-    return quantise(compress(energy, model.gain, model.log_share, model.dynamic_range, model.exponent))
+    law = model.gain, model.log_share, model.dynamic_range, model.exponent, model.saturation, model.black
+    return quantise(compress(energy, *law))
+
+
+def _with_oddities(energy: Array, sonar: Sonar, model: SensorModel, *, key: jax.Array) -> Array:
+    """What the nominal device has none of: groups of beams, dim beams, slow changes, another sonar's pings."""
+    groups, dim, slow, pings = jax.random.split(key, 4)
+    gains = group_gains(sonar.n_beams, model.crosstalk_period, model.group_gain_std, key=groups)
+    gains = gains * dim_beams(sonar.n_beams, model.dim_share, model.dim_loss, key=dim)
+    energy = energy * slow_brightness(sonar.shape, model.unevenness, key=slow) * gains
+    return energy + other_pings(sonar.shape, model.other_pings, key=pings)
 
 
 def received_energy(
@@ -85,7 +106,8 @@ def received_energy(
     object_gain = 10 ** (jnp.asarray(model.object_gain, jnp.float32) / 10)
     slope = jnp.minimum(sonar.height / ranges, 1.0) ** jnp.asarray(model.floor_lambert, jnp.float32)
     share = frame.highlight
-    energy = frame.intensity * (share * object_gain + (1 - share) * slope[:, None])
+    ripples = ripple_brightness(sonar, ranges, model.ripple, model.ripple_wavelength, model.ripple_direction)
+    energy = frame.intensity * (share * object_gain + (1 - share) * slope[:, None] * ripples)
     elevation = elevation_gain(floor_elevation(sonar), sonar.elevation_aperture, model.elevation_skirt)
     energy = energy * elevation
     if bounces is not None:
@@ -95,7 +117,9 @@ def received_energy(
     made_up = time_varied_gain(ranges, reference, model.tvg_exponent, absorption * model.tvg_absorption)
     left = absorption_loss(ranges - reference, absorption - sonar.absorption)
     energy = energy * (made_up * left / reference_energy(sonar))[:, None]
-    energy = streaks(pulse_blur(energy, model.pulse_bins), share, model.streak)
+    energy = pulse_blur(energy, model.pulse_bins)
+    energy = energy + late_reverberation(energy, model.reverberation, model.reverberation_length, sonar.range_bin)
+    energy = streaks(energy, share, model.streak)
     leak = crosstalk_mixing(sonar.n_beams, model.crosstalk, model.crosstalk_period)
     return energy @ (leak @ beam_mixing(sonar, model.beam_widening, model.beam_ways)).T
 

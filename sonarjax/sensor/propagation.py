@@ -141,3 +141,19 @@ def noise_floor(ranges: Float[Array, "*batch"], level: Any, range_max: Any) -> F
     of the echoes.
     """
     return level * jnp.square(ranges / range_max)
+
+
+def late_reverberation(
+    image: Float[Array, "range beam"], share: Any, length: Any, range_bin: Any
+) -> Float[Array, "range beam"]:
+    """Energy (range, beam) that arrives late by way of floor, walls and object: an exponential tail along range.
+
+    Each bin sends `share` [1] of its energy after itself, spread over a decay `length` [m] in bins of `range_bin` [m]:
+    it fills shadows from their near end. Reverberation decays exponentially in a closed basin (Kuttruff, Room
+    Acoustics, 2009, ch. 5); one share and one length for a frame are models of ours.
+    """
+    rows = image.shape[0]
+    step = jnp.asarray(range_bin, jnp.float32) / jnp.maximum(jnp.asarray(length, jnp.float32), 1e-3)
+    behind = jnp.arange(rows)[:, None] - jnp.arange(rows)[None, :]
+    tail = jnp.where(behind > 0, jnp.exp(-step * jnp.maximum(behind, 0)), 0.0) * (jnp.exp(step) - 1)
+    return jnp.asarray(share, jnp.float32) * (tail @ image)

@@ -11,7 +11,7 @@ import pytest
 
 import sonarjax as sj
 from sonarjax.recognize import FRAME_BLURS, FRAME_ITERATIONS, MAP_REFINEMENT, refine_on_frame
-from sonarjax.refine.template import Subject, draw, layers_with_slope, paint_with_slope
+from sonarjax.refine.template import Subject, draw, layers_with_slope, nominal_law, paint_with_slope
 from sonarjax.render import RenderQuality, place_window, plan_window
 from sonarjax.sensor import SensorModel, observe_scene
 
@@ -76,7 +76,9 @@ def refined_by(way):
 def test_derivatives_against_central_differences(mesh):
     """By yaw, x and y as far as the visible edges follow; by the bounce's energy exactly."""
     window = place_window(plan_window(mesh, SONAR, X), mesh, SONAR, X, Y)
-    subject = Subject(mesh, SONAR, sj.Pose(X, Y, 0.4), window, jnp.float32(0), jnp.int32(2), RenderQuality())
+    subject = Subject(
+        mesh, SONAR, sj.Pose(X, Y, 0.4), window, jnp.float32(0), jnp.int32(2), nominal_law(), RenderQuality()
+    )
     at = jnp.array([0.0, 0.0, 0.0, 0.3])
     picture, slope = jax.jit(partial(draw_with_slope, subject))(at)
     drawn = jax.jit(partial(draw, subject))

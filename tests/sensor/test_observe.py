@@ -23,7 +23,7 @@ from sonarjax.sensor import (
     received_energy,
     with_skirts,
 )
-from sonarjax.sensor.model import FLOOR_HEARD, RANGES, SCALED, SURFACE_HEARD
+from sonarjax.sensor.model import FLOOR_HEARD, RANGES, SCALED, SURFACE_HEARD, WIDE
 from sonarjax.sonar import Sonar
 
 ROWS, BEAMS = slice(60, 80), slice(18, 30)  # of an object, and its shadow behind
@@ -149,7 +149,7 @@ def test_nominal_is_the_default_and_scales() -> None:
 def test_draws_fill_their_ranges_around_the_nominal_device() -> None:
     draw = jax.jit(jax.vmap(lambda k: SensorModel.draw(key=k)))
     models, again = (draw(jax.random.split(jax.random.key(5), 400)) for _ in range(2))
-    assert set(RANGES) == {field.name for field in fields(SensorModel)}
+    assert set(RANGES) | set(WIDE) == {field.name for field in fields(SensorModel)}
     for name, (low, high, _) in RANGES.items():
         values = np.asarray(getattr(models, name))
         assert np.array_equal(values, np.asarray(getattr(again, name)))

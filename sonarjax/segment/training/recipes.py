@@ -105,11 +105,13 @@ PRESETS: dict[str, Recipe] = {
     # distance alone is content with a grey between two.
     "cpu": Recipe(
         name="cpu",
-        networks=GanConfig(width=16, discriminator_width=16, head="classes", adversarial=0.25, cross_entropy=20.0),
+        networks=GanConfig(
+            width=16, discriminator_width=16, head="classes", inputs="ranks", adversarial=0.25, cross_entropy=20.0
+        ),
         batch=8,
         pairs=4096,
-        passes=6,
-        sets=5,
+        passes=5,
+        sets=6,
         validation_pairs=256,
     ),
     # §3.2 on a GPU: 30 epochs of the 6,780 pairs at full width.

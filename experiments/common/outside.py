@@ -1,0 +1,79 @@
+"""Frames that the package did not draw: folders of another simulator's, and those of the independent judge."""
+
+from __future__ import annotations
+
+import csv
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import sonarjax as sj
+from experiments.common.launch import Skipped
+from sonarjax.io import read_frames
+
+TRUTH = "truth.csv"
+
+
+@dataclass(frozen=True)
+class OutsideFrame:
+    """A frame and its truth, with what an operator knows of the sonar."""
+
+    image: np.ndarray
+    """Grey frame (range, beam) in [0, 1]."""
+    sonar: sj.Sonar
+    """The nominal geometry, which may be a little wrong; one object for all frames of a set."""
+    group: str
+    """Frames of one group have one sonar."""
+    is_target: bool
+    """True for the target, False for another object."""
+    yaw: float
+    """True yaw [rad]."""
+
+
+@dataclass(frozen=True)
+class OutsideSet:
+    """Frames of one kind, and what is sought in them."""
+
+    name: str
+    """What the set is called."""
+    target: sj.Mesh
+    """What is sought."""
+    frames: list[OutsideFrame]
+    """The frames."""
+
+
+def read_set(folder: Path, every: int = 1) -> OutsideSet:
+    """A folder with target.stl, truth.csv and set_K/sonar.toml, of which one frame in `every` is taken.
+
+    Raises SonarjaxError when a file is missing or cannot be used.
+    """
+    path = folder / TRUTH
+    if not path.is_file():
+        raise sj.SonarjaxError(f"{path}: no such file, expected the truth of a folder of frames")
+    with path.open(encoding="utf-8", newline="") as file:
+        lines = list(csv.DictReader(file))[::every]
+    groups = sorted({Path(line["frame"]).parent.as_posix() for line in lines})
+    sonars = {group: sj.Sonar.from_toml(folder / group / "sonar.toml") for group in groups}
+
+    def frame(line: dict[str, str]) -> OutsideFrame:
+        group = Path(line["frame"]).parent.as_posix()
+        image = np.asarray(read_frames(folder / line["frame"])[0].image, np.float32)
+        yaw = math.radians(float(line["yaw_deg"]))
+        return OutsideFrame(image, sonars[group], group, line["object"] == "target", yaw)
+
+    return OutsideSet(folder.name, sj.Mesh.load(folder / "target.stl"), [frame(line) for line in lines])
+
+
+def judge_set(seed: int, kind: str, step_deg: float) -> OutsideSet:
+    """Frames of the independent judge. Raises Skipped where Embree is not installed."""
+    try:
+        from experiments.judge.frames import judge_frames
+    except ImportError as error:
+        raise Skipped(f"the judge needs Embree: pip install 'sonarjax[bench]' ({error})") from error
+    frames = [
+        OutsideFrame(frame.image, frame.sonar, str(frame.group), frame.is_target, frame.yaw)
+        for frame in judge_frames(seed, kind, step_deg)
+    ]
+    return OutsideSet(f"judge, {kind}", sj.objects.target(), frames)

@@ -1,0 +1,166 @@
+"""Validation frames: what thresholds and settings are chosen on. No object and no device of them is in any test.
+
+Objects are piles of bricks of another size than the test's, and other bodies; each comes with one that is much like it,
+and with its own mirror image. Devices are drawn from the widest family, the true tilt and height are a little off what
+the recognizer is told, and so is what faces send back from what the template has.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import sonarjax as sj
+from experiments.common.engine import engine
+from experiments.common.frames import GROUND_RANGE_M, VALIDATION_SEED, observed, sonar_for
+from experiments.common.progress import Progress
+from sonarjax.data.materials import draw_reflectivity
+from sonarjax.scene.objects import box, cylinder_arrays, join
+from sonarjax.sensor import SensorModel
+
+BRICK_M = (0.16, 0.10, 0.07)
+"""Length, width and height of a validation brick [m]: not the test's."""
+TILT_STD, HEIGHT_STD = math.radians(0.6), 0.006
+"""Standard deviations of the true tilt [rad] and height [m] from what the recognizer is told."""
+SEVERITIES = (0.7, 1.6)
+"""Least and largest severity of the devices [1]."""
+ASIDE_M, AHEAD_M = 0.12, 0.1
+"""Largest distance of an object from the middle of the view, to the side and ahead [m]."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One frame, what is sought in it, and its truth."""
+
+    sought: str
+    """Name of the object that is sought."""
+    shown: str
+    """`target` where that is the object shown, else `other` or `mirror`."""
+    image: np.ndarray
+    """Grey frame (range, beam) in [0, 1]."""
+    clean: np.ndarray
+    """Semantic image (range, beam) without noise."""
+    yaw: float
+    """True yaw [rad]."""
+    tilt_deg: float
+    """Tilt that the recognizer is told [deg]."""
+    odd: bool
+    """Whether the device is of the widest family."""
+
+    @property
+    def is_target(self) -> bool:
+        """True where the object that is sought is shown."""
+        return self.shown == "target"
+
+
+def _bricks(*parts: tuple[float, float, float, float, int]) -> sj.Mesh:
+    """A pile of bricks: x, y, z of the middle [m], yaw [deg] and posture (0 flat, 1 on edge, 2 on end) of each."""
+    sides = [(0, 1, 2), (0, 2, 1), (2, 1, 0)]
+    boxes = []
+    for x, y, z, yaw, posture in parts:
+        size = tuple(BRICK_M[k] for k in sides[posture])
+        boxes.append(box(size, (x, y, z + size[2] / 2), math.radians(yaw)))
+    return sj.Mesh.from_arrays(*join(*boxes), name="pile")
+
+
+class Scene(NamedTuple):
+    """What is shown where one object is sought; all meshes of all scenes are padded alike, and share compiled code."""
+
+    target: sj.Mesh
+    """What is sought."""
+    other: sj.Mesh
+    """An object much like it."""
+    mirror: sj.Mesh
+    """Its mirror image."""
+
+
+@cache
+def scenes() -> dict[str, Scene]:
+    """The objects by name."""
+    meshes = [mesh for target, other in _objects().values() for mesh in (target, other, mirrored(target))]
+    stacked = sj.stack_meshes(meshes)
+    alike = [jax.tree.map(lambda v, k=k: v[k], stacked) for k in range(len(meshes))]
+    return {name: Scene(*alike[3 * k : 3 * k + 3]) for k, name in enumerate(_objects())}
+
+
+def _objects() -> dict[str, tuple[sj.Mesh, sj.Mesh]]:
+    """Each object by name, with another one much like it."""
+    low = BRICK_M[2] + 0.001
+    mug = join(cylinder_arrays(0.06, 0.16, 24), box((0.09, 0.02, 0.10), (0.107, 0.0, 0.08)))
+    jug = join(cylinder_arrays(0.06, 0.16, 24), box((0.05, 0.02, 0.16), (0.087, 0.0, 0.08)))
+    return {
+        "corner": (
+            _bricks((0, -0.06, 0, 0, 0), (0.05, 0.08, 0, 80, 0), (0.02, -0.05, low, 30, 1)),
+            _bricks((0, -0.06, 0, 0, 0), (0.05, 0.08, 0, 80, 0), (0.06, 0.06, low, 60, 0)),
+        ),
+        "stairs": (
+            _bricks((0, -0.105, 0, 5, 0), (0, 0, 0, 0, 0), (0, 0.06, low, 90, 0), (0.0, 0.11, 0, -10, 0)),
+            _bricks((0, -0.105, 0, 5, 0), (0, 0, 0, 0, 0), (0.02, -0.03, low, 20, 1), (0.0, 0.11, 0, -10, 0)),
+        ),
+        "tower": (
+            _bricks((0, -0.055, 0, 0, 0), (0.0, 0.06, 0, 0, 2)),
+            _bricks((0, -0.055, 0, 0, 0), (0.03, 0.06, 0, 40, 1)),
+        ),
+        "gate": (
+            _bricks((-0.03, -0.12, 0, 0, 1), (0.03, 0.12, 0, 30, 2), (0.1, 0.0, 0, 90, 0)),
+            _bricks((-0.03, -0.12, 0, 0, 1), (0.03, 0.12, 0, 30, 2), (-0.1, 0.02, 0, 90, 0)),
+        ),
+        "mug": (sj.Mesh.from_arrays(*mug, name="mug"), sj.Mesh.from_arrays(*jug, name="jug")),
+    }
+
+
+def mirrored(mesh: sj.Mesh) -> sj.Mesh:
+    """The mirror image of an object: port and starboard exchanged."""
+    vertices, faces = np.asarray(mesh.vertices) * [1, -1, 1], np.asarray(mesh.faces)
+    return sj.Mesh.from_arrays(vertices, faces[faces[:, 0] != faces[:, 1]][:, ::-1], name="mirror image")
+
+
+def validation_cases(
+    seed: int, count: int, *, tilts_deg: Sequence[float] = (15.0, 20.0, 25.0), names: Sequence[str] | None = None
+) -> list[Case]:
+    """`count` frames: of each object in turn, half of them show it, the others what is like it or its mirror image."""
+    key = jax.random.key(VALIDATION_SEED + seed)
+    names = list(scenes() if names is None else names)
+
+    def simulate(number: int) -> Case:
+        part = jax.random.fold_in(key, number)
+        name, rest = names[number % len(names)], number // len(names)
+        shown = (0, 1, 0, 2)[rest % 4]
+        tilt = float(tilts_deg[rest // 4 % len(tilts_deg)])
+        return _case(name, scenes()[name][shown], Scene._fields[shown], tilt, key=part)
+
+    with Progress("simulating validation frames", count, unit="frame", leave=False) as progress:
+
+        def one(number: int) -> Case:
+            with progress.part(f"frame {number}"):
+                return simulate(number)
+
+        return [one(0), *engine().map(one, range(1, count))]  # the first alone compiles
+
+
+def _case(name: str, mesh: sj.Mesh, shown: str, tilt_deg: float, *, key: jax.Array) -> Case:
+    draws = np.asarray(jax.random.uniform(jax.random.fold_in(key, 1), (6,)), float)
+    normal = np.asarray(jax.random.normal(jax.random.fold_in(key, 2), (2,)), float)
+    nominal = sonar_for(tilt_deg)
+    sonar = nominal.replace(
+        tilt=jnp.float32(math.radians(tilt_deg) + TILT_STD * normal[0]),
+        height=jnp.float32(float(nominal.height) + HEIGHT_STD * normal[1]),
+    )
+    ahead, aside = (2 * draws[0] - 1) * AHEAD_M, (2 * draws[1] - 1) * ASIDE_M
+    pose = sj.Pose(GROUND_RANGE_M[tilt_deg] + ahead, aside, 2 * math.pi * draws[2])
+    severity = SEVERITIES[0] + (SEVERITIES[1] - SEVERITIES[0]) * draws[3]
+    odd = bool(draws[4] < 0.6)
+    draw = SensorModel.draw_wide if odd else SensorModel.draw
+    model = draw(key=jax.random.fold_in(key, 3), severity=severity)
+    ground = replace(mesh, vertices=pose.to_ground(mesh.vertices))
+    painted = draw_reflectivity(ground, sonar.height, mesh.n_faces, key=jax.random.fold_in(key, 4))
+    mesh = replace(mesh, reflectivity=painted if odd else jnp.ones(mesh.n_faces))
+    image, clean = observed(mesh, pose, sonar, model, key=jax.random.fold_in(key, 5))
+    return Case(name, shown, np.asarray(image), np.asarray(clean), float(pose.yaw), tilt_deg, odd)

@@ -1,0 +1,75 @@
+"""How well a refined template explains a frame: what identification is judged by, beside the height of eq. 5's peak.
+
+A threshold on one correlation does not carry over from one device to another: noise lowers it for the target as much
+as another object does. What does carry over is whether map and frame agree on something that the template lacks.
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from sonarjax.records import record
+from sonarjax.refine.objective import ROW_STRIDE, Blur, box_around, make_blur, normalised
+from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS
+
+FINE, COARSE = 1.0, 4.0
+"""Blurs [range bins] at which template and frame are compared."""
+
+
+@record
+class Evidence:
+    """Numbers that speak for or against the template; each is a correlation or a share of one."""
+
+    map_fit: Float[Array, "*batch"]
+    """NCC (eq. 4) of the semantic template and the semantic map."""
+    frame_fit: Float[Array, "*batch"]
+    """NCC of the fitted template and the frame, both blurred by `FINE`."""
+    coarse_fit: Float[Array, "*batch"]
+    """The same at `COARSE`, where speckle counts for less."""
+    unexplained: Float[Array, "*batch"]
+    """Correlation of what the map shows beyond the semantic template with what the frame shows beyond the fitted one.
+
+    Near 0 for the target, whose residuals are noise; positive where both show another object."""
+    left_over: Float[Array, "*batch"]
+    """Share of the frame's standard deviation, blurred by `COARSE`, that the template leaves."""
+
+
+@jax.jit
+def gather_evidence(
+    frame: Float[Array, "range beam"], semantic: Float[Array, "range beam"], measured: Float[Array, "range beam"],
+    template: Float[Array, "range beam"], labels: Float[Array, "range beam"],
+) -> Evidence:  # fmt: skip
+    """Evidence for the `template` that was fitted to a `frame`, whose semantic form is `labels` (less the floor's 0.5).
+
+    All are windows (range, beam) of one place; `semantic` is the map of the frame, `measured` is 1 where there is a
+    pixel, else 0. Only the template's box with the bank's margin counts.
+    """
+    inside = measured * box_around(labels, (MARGIN_BINS, MARGIN_BEAMS))
+    seen, drawn = normalised(frame, inside), normalised(template, inside)
+    residual = seen - (seen * drawn).sum() * drawn
+    beyond = normalised(semantic - labels, inside)
+    fine, coarse = (make_blur((frame.shape[0], frame.shape[1]), sigma) for sigma in (FINE, COARSE))
+    return Evidence(
+        map_fit=(normalised(semantic, inside) * normalised(labels, inside)).sum(),
+        frame_fit=_blurred_fit(seen, drawn, inside, fine),
+        coarse_fit=_blurred_fit(seen, drawn, inside, coarse),
+        unexplained=(beyond * normalised(residual, inside)).sum(),
+        left_over=_spread(residual, inside, coarse) / jnp.maximum(_spread(seen, inside, coarse), 1e-6),
+    )
+
+
+def _blurred_fit(seen: Array, drawn: Array, inside: Array, blur: Blur) -> Float[Array, ""]:
+    """NCC, blurred, of a frame and a template that have no mean and are 0 outside: the box has no edge in them."""
+    rows = inside[::ROW_STRIDE]
+    return (normalised(blur(seen), rows) * normalised(blur(drawn), rows)).sum()
+
+
+def _spread(image: Array, inside: Array, blur: Blur) -> Float[Array, ""]:
+    """Standard deviation inside of an image that is 0 outside, blurred."""
+    rows = inside[::ROW_STRIDE]
+    total = jnp.maximum(rows.sum(), 1.0)
+    blurred = blur(image) * rows
+    centred = (blurred - blurred.sum() / total) * rows
+    return jnp.sqrt((centred**2).sum() / total)

@@ -1,0 +1,77 @@
+"""What the experiments outside our own simulator are judged by, against closed forms and simulated errors."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from experiments import fit_decision, outside
+from experiments.common.scores import area
+from experiments.fit_decision import Measured
+from experiments.outside import Verdict
+
+RNG = np.random.default_rng(7)
+
+
+def measured(own: np.ndarray, **values: np.ndarray) -> Measured:
+    count = len(own)
+    plain = {name: np.zeros(count) for name in ("error_deg", "std_deg", "bank", "refined")}
+    return Measured(**({"evidence": np.zeros((count, 2)), "own": own} | plain | values))
+
+
+def test_area_counts_the_pairs_in_the_right_order() -> None:
+    score, own = RNG.normal(size=60).round(1), RNG.random(60) < 0.4
+    pairs = [(a > b) + 0.5 * (a == b) for a in score[own] for b in score[~own]]
+    assert area(score, own) == pytest.approx(np.mean(pairs))
+
+
+def test_the_logistic_fit_finds_the_log_odds_it_was_drawn_from() -> None:
+    evidence = RNG.normal(size=(20000, 2)) * [1.0, 0.1]
+    odds = 1.5 * evidence[:, 0] - 20.0 * evidence[:, 1]
+    own = RNG.random(len(odds)) < 1 / (1 + np.exp(-odds))
+    _, weights, offset = fit_decision.fit_logistic(evidence, own)
+    assert weights == pytest.approx([1.5, -20.0], rel=0.08)
+    assert offset == pytest.approx(0.0, abs=0.08)
+
+
+def test_the_threshold_holds_its_share_of_false_alarms() -> None:
+    others = RNG.random(1000) ** 3
+    assert (others >= fit_decision.threshold_for(others, 0.2)).mean() <= 0.2 + 1e-9
+    assert fit_decision.threshold_for(0.4 * others, 0.2) == 0.5
+
+
+def test_error_bars_are_fitted_to_errors_drawn_from_them() -> None:
+    std = RNG.uniform(0.1, 1.0, 4000)
+    error = np.abs(RNG.normal(size=4000)) * np.hypot(2.5 * std, 0.6)
+    scale, beyond = fit_decision.fit_std(measured(np.ones(4000, bool), error_deg=error, std_deg=std))
+    assert scale == pytest.approx(2.5, rel=0.1) and beyond == pytest.approx(0.6, rel=0.15)
+
+
+def test_a_frame_is_right_where_the_target_is_found_with_its_yaw() -> None:
+    """Found and close, found and far, missed, refused, taken for the target, ended in an error."""
+    own = np.array([True, True, True, False, False, False])
+    score = np.array([0.9, 0.9, 0.1, 0.1, 0.9, np.nan])
+    identified = np.array([True, True, False, False, True, False])
+    error = np.array([1.0, 40.0, 2.0, 90.0, 90.0, np.nan])
+    row = outside._summary(Verdict(score, identified, error, np.full(6, 1.5)), own)
+    assert row["right"] == pytest.approx(2 / 6) and row["errors"] == 1
+    assert row["identified"] == pytest.approx(2 / 3) and row["refused"] == pytest.approx(1 / 3)
+    assert row["astray"] == pytest.approx(1 / 3)
+    assert row["within_1"] == pytest.approx(0.5) and row["within_2"] == pytest.approx(1.0)
+
+
+def test_the_gain_over_another_score_has_a_lower_end() -> None:
+    own = RNG.random(200) < 0.5
+    good, poor = (Verdict(own + spread * RNG.normal(size=200), own, *np.zeros((2, 200))) for spread in (0.3, 2.0))
+    gain = outside._against(good, poor, own)
+    assert 0 < gain["auc_gap_low"] < gain["auc_gap"] < 0.5
+    assert outside._against(good, good, own)["auc_gap"] == 0
+
+
+def test_error_bars_that_rank_frames_have_a_large_ratio() -> None:
+    std = RNG.uniform(0.2, 2.0, 800)
+    ranked = [[std.tolist(), (np.abs(RNG.normal(size=800)) * std).tolist()]]
+    ratio = outside._rank_ratio(ranked)
+    assert ratio is not None and 3.0 < ratio < 8.0
+    assert outside._rank_ratio([[std.tolist(), [1.0] * 800]]) == pytest.approx(1.0)
+    assert outside._rank_ratio([]) is None
