@@ -2,7 +2,8 @@
 
 python -m experiments.fit_threshold [--preset smoke] [--help]
 
-Validation frames have another seed than the test's, which play no part. The thresholds found stand in
+Validation frames show other objects than any test, each beside one much like it and its own mirror image, seen by
+devices of the family that the paper's sonar is of (`experiments.common.validation`). The thresholds found stand in
 `sonarjax.segment.classical`, in the network's weights file and in `experiments.common.segmenters`.
 """
 
@@ -15,13 +16,13 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-import sonarjax as sj
-from experiments.common.frames import TILTS_DEG, VALIDATION_SEED, TestFrame, paper_frames
+from experiments.common.frames import TILTS_DEG
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns
 from experiments.common.recognizers import recognizers
 from experiments.common.runs import Job
 from experiments.common.segmenters import Name, available, map_of
+from experiments.common.validation import Case, scenes, validation_cases
 
 HEADS = {
     "segmenter": "segmenter",
@@ -37,8 +38,8 @@ HEADS = {
 class Settings:
     """What is fitted."""
 
-    step_deg: int = 20
-    """Yaw step of the validation frames [deg]."""
+    count: int = 480
+    """Validation frames, of which those of odd devices are left out."""
     segmenters: tuple[Name, ...] = available()
     """Segmenters, each with a threshold of its own."""
     tilts_deg: tuple[float, ...] = TILTS_DEG
@@ -58,18 +59,18 @@ def best_threshold(target: np.ndarray, other: np.ndarray) -> float:
 
 def run(settings: Settings, job: Job) -> Report:
     """One row for each segmenter."""
-    seed, step, tilts = VALIDATION_SEED + job.seed, settings.step_deg, settings.tilts_deg
-    frames = paper_frames(seed, yaw_offset_deg=5.0, step_deg=step, tilts_deg=tilts)
-    found = job.map(partial(_measure, frames), settings.segmenters, "segmenters")
+    cases = validation_cases(job.seed, settings.count, tilts_deg=settings.tilts_deg)
+    family = [case for case in cases if not case.odd]
+    found = job.map(partial(_measure, family), settings.segmenters, "segmenters")
     return {"rows": [{"segmenter": name} | values for name, values in found.items()]}
 
 
-def _measure(frames: list[TestFrame], name: str) -> dict[str, Any]:
-    recognizer_of = recognizers(sj.objects.target(), refine=None)
+def _measure(cases: list[Case], name: str) -> dict[str, Any]:
+    made = {sought: recognizers(scene.target, refine=None) for sought, scene in scenes().items()}
     scores: dict[bool, list[float]] = {True: [], False: []}
-    for frame in tqdm(frames, desc=name, unit="frame", leave=False):
-        result = recognizer_of(frame.tilt_deg)(map_of(name, frame), threshold=0.0)
-        scores[frame.is_target].append(result.score)
+    for case in tqdm(cases, desc=name, unit="frame", leave=False):
+        result = made[case.sought](case.tilt_deg)(case.image, semantic=map_of(name, case), threshold=0.0)
+        scores[case.is_target].append(result.score)
     target, other = np.array(scores[True]), np.array(scores[False])
     return {
         "threshold": best_threshold(target, other),
@@ -86,4 +87,4 @@ def table(report: Report) -> str:
 
 
 if __name__ == "__main__":
-    launch(run, Settings, table, smoke={"step_deg": 360, "segmenters": ("otsu",), "tilts_deg": (20.0,)})
+    launch(run, Settings, table, smoke={"count": 16, "segmenters": ("otsu",), "tilts_deg": (20.0,)})

@@ -1,4 +1,4 @@
-"""What do the paper's scenes look like here? Arrays for its Fig. 2 to 7; nothing is summary_of.
+"""What do the paper's scenes look like here? Arrays for its Fig. 2 to 7; nothing is judged.
 
 python -m experiments.paper_scenes [--preset smoke] [--help]
 """

@@ -105,8 +105,8 @@ def run(settings: Settings, job: Job) -> Report:
         for segmenter, found in job.map(measure, settings.segmenters, name).items():
             yaws, scores = (np.array(found[key], float) for key in ("yaw_deg", "score"))
             arrays |= {f"{name}_{segmenter}_yaw_deg": yaws, f"{name}_{segmenter}_score": scores}
-            summary_of = judge(yaws, scores, arrays[f"{name}_true_yaw_deg"], period, settings.within_deg)
-            rows.append({"object": name, "period_deg": period, "segmenter": segmenter} | summary_of)
+            judged = judge(yaws, scores, arrays[f"{name}_true_yaw_deg"], period, settings.within_deg)
+            rows.append({"object": name, "period_deg": period, "segmenter": segmenter} | judged)
     job.arrays("hypotheses", **{key.replace(" ", "_"): value for key, value in arrays.items()})
     return {"rows": rows}
 

@@ -140,6 +140,23 @@ class Candidate(NamedTuple):
         turned = math.atan2(self.y, self.x) - math.atan2(float(bank.y), float(bank.x))
         return np.asarray(bank.yaws) + turned
 
+    def between_bins(self, k: int) -> Pose:
+        """The pose at bin `k`, its yaw moved to where a parabola through the neighbouring scores peaks."""
+        scores = self.match.scores
+        yaw = float(self.yaws[k]) + between_bins(scores, k) * (2 * math.pi / len(scores))
+        return Pose(x=self.x, y=self.y, yaw=yaw)
+
+
+class Start(NamedTuple):
+    """Where refinement starts."""
+
+    candidate: Candidate
+    """What was matched."""
+    bin: int
+    """The yaw bin."""
+    picture: np.ndarray
+    """The map or the frame (range, beam) that it was matched in."""
+
 
 class Recognizer:
     """Targets and a sonar, with all that is prepared for them: call it with frames."""
@@ -190,7 +207,8 @@ class Recognizer:
         found = [self._locate(search, seen, mask) for search in self.targets.values()]
         found.sort(key=lambda candidate: -candidate.score)
         best = found[0]
-        hypotheses, x, y, evidence = self._hypotheses(best, image, seen, mask)
+        in_frame = self._in_frame(best, image, mask) if given is None else None
+        hypotheses, x, y, evidence = self._hypotheses(best, in_frame, image, seen, mask)
         rule = self.segmenter.rule if given is None else None
         score = best.score if rule is None or evidence is None else rule.probability(evidence)
         return Recognition(
@@ -250,43 +268,46 @@ class Recognizer:
         match = search.find(np.asarray(seen, np.float32), mask)
         return Candidate(search, match, *search.place(match))
 
+    def _in_frame(self, best: Candidate, image: np.ndarray, mask: np.ndarray | None) -> Candidate | None:
+        """The target's best match on the frame itself: where a segmenter fails, that one may be right."""
+        if self.refine is None or self.segmenter.name == "none":
+            return None
+        return self._locate(best.search, image, mask)
+
     def _hypotheses(
-        self, best: Candidate, image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None
+        self, best: Candidate, in_frame: Candidate | None, image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None
     ) -> tuple[tuple[Hypothesis, ...], float, float, dict[str, float] | None]:
         """Possible yaws, best first, the place (x, y) [m] of the best (a bin or refined), and what speaks for it."""
-        scores = best.match.scores
-        bins = _peak_bins(scores, best.yaws, self.search.hypotheses)
+        bins = _peak_bins(best.match.scores, best.yaws, self.search.hypotheses)
         if self.refine is None:
-            plain = [Hypothesis(_wrap(best.yaws[k]), float(scores[k]), None) for k in bins]
+            plain = [Hypothesis(_wrap(best.yaws[k]), float(best.match.scores[k]), None) for k in bins]
             return _distinct(plain), best.x, best.y, None
-        turned = [float(best.yaws[k]) + between_bins(scores, k) * (2 * math.pi / len(scores)) for k in bins]
-        window = self._window(best)
+        starts = [Start(best, k, seen) for k in bins]
+        if in_frame is not None:
+            starts.append(Start(in_frame, int(in_frame.match.scores.argmax()), image))
 
-        def refined(yaw: float) -> tuple[YawEstimate, Pose, Evidence]:
-            found = Pose(x=best.x, y=best.y, yaw=yaw)
-            return self._refined(best.search.mesh, found, image, seen, mask, window)
+        def refined(start: Start) -> tuple[YawEstimate, Pose, Evidence]:
+            return self._refined(start, image, seen, mask)
 
         # Each on its own: one that settles early waits for no other.
-        parts = self.engine.map(refined, turned)
+        parts = self.engine.map(refined, starts)
         estimate, pose, gathered = jax.tree.map(lambda *values: np.stack([np.asarray(v) for v in values]), *parts)
         hypotheses = _refined(estimate, pose)
         order = int(np.argmax([one.score for one in hypotheses]))
         evidence = {name: float(getattr(gathered, name)[order]) for name in EVIDENCE if hasattr(gathered, name)}
         x, y = float(np.asarray(pose.x)[order]), float(np.asarray(pose.y)[order])
-        return _distinct(hypotheses), x, y, evidence | _of_curve(scores)
+        return _distinct(hypotheses), x, y, evidence | _of_curves(best, in_frame)
 
     def _refined(
-        self, mesh: Mesh, found: Pose, image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None,
-        window: WindowSize | None,
-    ) -> tuple[YawEstimate, Pose, Evidence]:  # fmt: skip
-        """One hypothesis refined on the map, then on the frame; with the pose that is kept, and what speaks for it."""
+        self, start: Start, image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None
+    ) -> tuple[YawEstimate, Pose, Evidence]:
+        """A start refined where it was found, then on the frame; with the pose that is kept, and what speaks for it."""
         assert self.refine is not None
-        how: dict[str, Any] = {"mask": mask, "window": window, "engine": self.engine}
-        on_map = refine_yaw(seen, mesh, self.sonar, found, config=self.refine, **how)
-        start = _kept(on_map, found)
-        estimate, drawn = refine_and_draw(image, mesh, self.sonar, start, config=on_frame(self.refine), **how)
-        evidence = _evidence(drawn, image, seen, mask, self.engine)
-        return estimate, _kept(estimate, start), evidence
+        mesh, found = start.candidate.search.mesh, start.candidate.between_bins(start.bin)
+        how: dict[str, Any] = {"mask": mask, "window": self._window(start.candidate), "engine": self.engine}
+        first = _kept(refine_yaw(start.picture, mesh, self.sonar, found, config=self.refine, **how), found)
+        estimate, drawn = refine_and_draw(image, mesh, self.sonar, first, config=on_frame(self.refine), **how)
+        return estimate, _kept(estimate, first), _evidence(drawn, image, seen, mask, self.engine)
 
 
 def recognize(
@@ -364,13 +385,11 @@ def _evidence(drawn: Drawn, image: np.ndarray, seen: np.ndarray, mask: np.ndarra
     return engine.run(gather_evidence, *parts, drawn.template, drawn.labels)
 
 
-def _of_curve(scores: np.ndarray) -> dict[str, float]:
-    """What the score curve over yaw (yaw,) tells: how far its peak stands out."""
-    ordered = np.sort(scores)
-    return {
-        "above_others": float(ordered[-1] - ordered[-4]),
-        "peak": float((ordered[-1] - scores.mean()) / max(float(scores.std()), 1e-6)),
-    }
+def _of_curves(in_map: Candidate, in_frame: Candidate | None) -> dict[str, float]:
+    """What the scores over yaw tell, those of the map and those of the frame: their peak, and how far it stands out."""
+    curves = in_map.match.scores, (in_map if in_frame is None else in_frame).match.scores
+    rises = [float(ordered[-1] - ordered[-4]) for ordered in map(np.sort, curves)]
+    return {"map_rise": rises[0], "frame_rise": rises[1], "frame_peak": float(curves[1].max())}
 
 
 def _is_kept(estimate: YawEstimate) -> Any:

@@ -15,7 +15,8 @@ import sonarjax as sj
 from experiments.common.frames import TestFrame, sonar_for
 from experiments.common.metrics import WITHIN_BIN_DEG, accuracy, best_accuracy, summary_deg, yaw_error_deg
 from experiments.common.recognizers import recognizers, unrefined
-from experiments.common.segmenters import map_of, threshold_of
+from experiments.common.segmenters import loaded, map_of, threshold_of
+from sonarjax.segment import SEGMENTERS
 
 
 class Found(NamedTuple):
@@ -23,6 +24,8 @@ class Found(NamedTuple):
 
     score: np.ndarray
     """Largest correlation over the bank (eq. 5) [1]."""
+    decided: np.ndarray
+    """Whether the recognizer took it for the target: by its rule where there is one, else by eq. 5."""
     is_target: np.ndarray
     """Whether the frame shows the target."""
     bin_error_deg: np.ndarray
@@ -59,19 +62,27 @@ def recognize_all(
 ) -> Found:
     """Recognize the target (or `mesh`) in each frame, with the sonar that `sonar_of` gives for its tilt [deg].
 
-    `segmenter` is one of `common.segmenters`. Yaw is judged on the target alone: other frames are not refined.
+    `segmenter` is one of `common.segmenters`. With `refine`, one that has a rule decides by it; of the others only
+    frames of the target are refined: yaw is judged on them alone.
     """
     sought, limit = target() if mesh is None else mesh, threshold_of(segmenter)  # first: a wrong name is told at once
-    recognizer_of, results, seconds = recognizers(sought, sonar_of=sonar_of), [], []
+    own = loaded(segmenter) if refine and segmenter in SEGMENTERS else None
+    by_rule = own is not None and own.rule is not None
+    recognizer_of = recognizers(sought, segmenter=own if by_rule else "none", sonar_of=sonar_of)
+    results, seconds = [], []
     for frame in tqdm(frames, desc=segmenter, unit="frame", leave=False, disable=None):
         started = time.perf_counter()
         recognizer = recognizer_of(frame.tilt_deg)
-        recognizer = recognizer if refine and frame.is_target else unrefined(recognizer)
-        results.append(recognizer(frame.image, semantic=map_of(segmenter, frame), threshold=limit))
+        if by_rule:
+            results.append(recognizer(frame.image))
+        else:
+            recognizer = recognizer if refine and frame.is_target else unrefined(recognizer)
+            results.append(recognizer(frame.image, semantic=map_of(segmenter, frame), threshold=limit))
         seconds.append(time.perf_counter() - started)
     true = [f.yaw for f in frames]
     return Found(
-        score=np.array([r.score for r in results]),
+        score=np.array([r.score_bank for r in results]),
+        decided=np.array([r.identified for r in results]),
         is_target=np.array([f.is_target for f in frames]),
         bin_error_deg=yaw_error_deg([r.yaw_bin for r in results], true),
         error_deg=yaw_error_deg([r.yaw for r in results], true),
@@ -83,9 +94,12 @@ def recognize_all(
 
 
 def summary_of(found: Found) -> dict[str, float]:
-    """Accuracy at the threshold and at the best one, what it is made of, yaw errors of the target's frames [deg]."""
+    """Accuracy at eq. 5's threshold and at the best one, what it is made of, yaw errors of the target's frames [deg].
+
+    `decided` is the accuracy of the recognizer's own decision and of the yaw that it reports.
+    """
     own = found.is_target
-    right = found.bin_error_deg <= WITHIN_BIN_DEG
+    right, near = (error <= WITHIN_BIN_DEG for error in (found.bin_error_deg, found.error_deg))
     best, best_threshold = best_accuracy(found.score, right, own)
     return {
         "accuracy": accuracy(found.score, right, own, found.threshold),
@@ -100,6 +114,7 @@ def summary_of(found: Found) -> dict[str, float]:
         "score_other_largest": float(found.score[~own].max()),
         "milliseconds": float(1e3 * np.median(found.seconds)),
         "identification": float(((found.score >= found.threshold) == own).mean()),
+        "decided": float(np.where(own, found.decided & near, ~found.decided).mean()),
         **{f"bin_{name}": value for name, value in summary_deg(found.bin_error_deg[own]).items()},
         **{f"yaw_{name}": value for name, value in summary_deg(found.error_deg[own]).items()},
     }

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from functools import cache
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal, Protocol, get_args
 
 import numpy as np
 
 import sonarjax as sj
 from experiments.common.engine import engine
-from experiments.common.frames import TestFrame
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.segment import SEGMENTERS
 from sonarjax.segment.tiled import segment
@@ -33,7 +32,19 @@ def available() -> tuple[Name, ...]:
     return tuple(name for name in NAMES if name != DISCRIMINATIVE or DISCRIMINATIVE_WEIGHTS.exists())
 
 
-def map_of(name: str, frame: TestFrame) -> np.ndarray:
+class HasMap(Protocol):
+    """A simulated frame."""
+
+    @property
+    def image(self) -> np.ndarray:
+        """Grey frame (range, beam) in [0, 1]."""
+
+    @property
+    def clean(self) -> np.ndarray:
+        """Semantic image (range, beam) without noise."""
+
+
+def map_of(name: str, frame: HasMap) -> np.ndarray:
     """The semantic map (range, beam) that a segmenter makes of a frame.
 
     Raises SonarjaxError for a name or file that is not there.

@@ -9,11 +9,13 @@ from typing import Any
 
 from sonarjax.io.errors import SonarjaxError
 
-EVIDENCE = ("map_fit", "frame_fit", "coarse_fit", "unexplained", "left_over", "above_others", "peak")
-"""What a rule may weigh: the fields of `refine.Evidence`, then what the score curve over yaw tells.
+EVIDENCE = (
+    "map_fit", "frame_fit", "coarse_fit", "unexplained", "left_over", "map_rise", "frame_rise", "frame_peak",
+)  # fmt: skip
+"""What a rule may weigh: the fields of `refine.Evidence`, then what the score curves over yaw tell.
 
-`above_others` is the best yaw bin's score less that of the fourth best: its neighbours share its peak. `peak` is its
-score less the mean over all bins, in standard deviations of the curve."""
+`map_rise` is the best yaw bin's score on the map less that of the fourth best (its neighbours share its peak),
+`frame_rise` the same of matching the frame itself, and `frame_peak` is the best bin's score there."""
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,17 @@
 public and stand alone. Each names its source, or says that it is a model of ours.
 """
 
-from sonarjax.sensor.beams import array_pattern, beam_gains, beam_mixing, crosstalk_mixing, streaks
+from sonarjax.sensor.beams import (
+    array_pattern,
+    beam_gains,
+    beam_mixing,
+    crosstalk_mixing,
+    dim_beams,
+    group_gains,
+    other_pings,
+    streaks,
+)
+from sonarjax.sensor.bottom import ripple_brightness, slow_brightness
 from sonarjax.sensor.display import compress, quantise
 from sonarjax.sensor.model import SensorModel
 from sonarjax.sensor.multipath import bounce_mesh, bounce_points, render_bounces
@@ -14,6 +24,7 @@ from sonarjax.sensor.propagation import (
     elevation_gain,
     floor_elevation,
     fresh_absorption,
+    late_reverberation,
     noise_floor,
     pulse_blur,
     range_middles,
@@ -37,9 +48,10 @@ from sonarjax.sensor.speckle import (
 
 __all__ = [
     "SensorModel", "absorption_loss", "array_pattern", "azimuth_kernel", "beam_gains", "beam_mixing", "bounce_mesh",
-    "bounce_points", "complex_field", "compress", "correlate", "crosstalk_mixing", "elevation_gain", "floor_elevation",
-    "fresh_absorption", "gamma_of_normal", "gamma_texture", "heavy_tails", "multi_look", "noise_floor", "observe",
-    "observe_scene", "patchy_normal", "pulse_blur", "quantise", "range_kernel", "range_middles", "received_energy",
-    "reference_energy", "reference_range", "render_bounces", "speckle", "speckle_intensity", "streaks",
-    "time_varied_gain", "with_skirts",
+    "bounce_points", "complex_field", "compress", "correlate", "crosstalk_mixing", "dim_beams", "elevation_gain",
+    "floor_elevation", "fresh_absorption", "gamma_of_normal", "gamma_texture", "group_gains", "heavy_tails",
+    "late_reverberation", "multi_look", "noise_floor", "observe", "observe_scene", "other_pings", "patchy_normal",
+    "pulse_blur", "quantise", "range_kernel", "range_middles", "received_energy", "reference_energy",
+    "reference_range", "render_bounces", "ripple_brightness", "slow_brightness", "speckle", "speckle_intensity",
+    "streaks", "time_varied_gain", "with_skirts",
 ]  # fmt: skip
