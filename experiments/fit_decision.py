@@ -2,11 +2,10 @@
 
 python -m experiments.fit_decision [--segmenter FILE] [--preset smoke] [--help]
 
-A logistic regression weighs the evidence of `sonarjax.refine.evidence` (its AUC is also given with each object left out
-of the fit in turn), a threshold is set on its probability, and `yaw_std` is scaled and joined by a constant so that the
-errors are most likely. Validation frames show other objects and other devices than any test: see
-`experiments.common.validation`. What is found stands in the weights file's metadata, `sonarjax.segment.rule` and
-`sonarjax.recognize`.
+A logistic regression weighs the evidence of `sonarjax.refine.evidence`, its AUC also given with each object left out of
+the fit in turn; one half is its threshold. `yaw_std` is corrected so that the errors are most likely. Validation frames
+show other objects and other devices than any test: see `experiments.common.validation`. What is found stands in the
+weights file's metadata, `sonarjax.segment.rule` and `sonarjax.refine.errorbar`.
 """
 
 from __future__ import annotations
@@ -27,15 +26,17 @@ from experiments.common.recognizers import recognizers
 from experiments.common.runs import Job
 from experiments.common.scores import area
 from experiments.common.validation import Case, scenes, validation_cases
-from sonarjax.recognize import STD_SCALE, UNMODELLED_YAW
+from sonarjax.refine import ErrorBar
 from sonarjax.segment import EVIDENCE
 
+THRESHOLD = 0.5
+"""Least probability of an identified target: both errors count alike [1]."""
 RIDGE = 1.0
 """Weight of the squared coefficients of standardised evidence in the logistic loss [1]."""
 ASTRAY_DEG = 30.0
 """Yaw errors beyond it are of another hypothesis: no error bar is fitted to them."""
-TAIL = 4.0
-"""An error of more standard deviations than this counts as this many [1]."""
+FREEDOM = 4.0
+"""Degrees of freedom of the distribution of yaw errors."""
 HEADS = {
     "frames": "frames of", "count": "count", "auc": "AUC", "left_out": "AUC, object left out",
     "bank": "AUC of score_bank", "refined": "AUC of score_refined",
@@ -54,8 +55,6 @@ class Settings:
     """Validation frames."""
     tilts_deg: tuple[float, ...] = TILTS_DEG
     """Tilts of the sonar [deg], of those of §4.1."""
-    false_alarms: float = 0.1
-    """Largest share of other objects that may be identified [1]."""
 
 
 @dataclass(frozen=True)
@@ -77,27 +76,28 @@ class Measured:
 
 
 def run(settings: Settings, job: Job) -> Report:
-    """The rule, the error bars' two numbers, and what both reach."""
+    """The rule, the error bar, and what both reach."""
     cases = validation_cases(job.seed, settings.count, tilts_deg=settings.tilts_deg)
     found = job.map(lambda name: _measure(cases, name), (settings.segmenter,), "segmenter")[settings.segmenter]
     values = Measured(**{name: np.asarray(v) for name, v in found.items()})
+    facts = {"sought": [case.sought for case in cases], "shown": [case.shown for case in cases]}
+    job.arrays("measured", **found, **facts, odd=[case.odd for case in cases])
     odds, weights, offset = fit_logistic(values.evidence, values.own)
     probability = 1 / (1 + np.exp(-odds(values.evidence)))
-    threshold = threshold_for(probability[~values.own], settings.false_alarms)
-    scale, beyond = fit_std(values)
+    bar = fit_error_bar(values)
     left_out = _left_out(values, np.array([case.sought for case in cases]))
     families = {"any device": np.ones(len(cases), bool), "odd devices": np.array([case.odd for case in cases])}
     families["the family"] = ~families["odd devices"]
-    std = np.hypot(scale * values.std_deg, beyond)
+    std = np.degrees(_std(bar, values))
     rows = [
-        {"frames": name} | _row(values, probability, left_out, std, threshold, chosen)
+        {"frames": name} | _row(values, probability, left_out, std, chosen)
         for name, chosen in families.items()
         if values.own[chosen].any() and not values.own[chosen].all()
     ]
-    false = float((probability >= threshold)[~values.own].mean())
+    false = float((probability >= THRESHOLD)[~values.own].mean())
     rule = {"weights": dict(zip(EVIDENCE, weights, strict=True)), "offset": offset}
-    rule |= {"threshold": threshold, "false_alarms": false}
-    return {"rule": rule, "std_scale": scale, "unmodelled_yaw_deg": beyond, "rows": rows}
+    rule |= {"threshold": THRESHOLD, "false_alarms": false}
+    return {"rule": rule, "error_bar": bar._asdict(), "rows": rows}
 
 
 def _measure(cases: list[Case], segmenter: str) -> dict[str, Any]:
@@ -106,10 +106,9 @@ def _measure(cases: list[Case], segmenter: str) -> dict[str, Any]:
     found: dict[str, list[Any]] = {name: [] for name in Measured.__dataclass_fields__}
     for case in tqdm(cases, desc=segmenter, unit="frame", leave=False, disable=None):
         result = made[case.sought](case.tilt_deg)(case.image, threshold=0.5)
-        assert result.evidence is not None and result.yaw_std is not None
-        std = np.sqrt(max(result.yaw_std**2 - UNMODELLED_YAW**2, 0.0)) / STD_SCALE
+        assert result.evidence is not None
         row = [[result.evidence[name] for name in EVIDENCE], case.is_target, yaw_error_deg(result.yaw, case.yaw)]
-        row += [np.degrees(std), result.score_bank, result.score_refined]
+        row += [np.degrees(result.evidence["curvature_std"]), result.score_bank, result.score_refined]
         for name, value in zip(found, row, strict=True):
             found[name].append(value)
     return found
@@ -134,23 +133,30 @@ def fit_logistic(evidence: np.ndarray, own: np.ndarray) -> tuple[Callable[[Any],
     return lambda v: v @ weights + offset, [float(w) for w in weights], offset
 
 
-def threshold_for(others: np.ndarray, share: float) -> float:
-    """One half, or more where more than this share of the others (frame,) would reach it."""
-    first_refused = np.sort(others)[::-1][int(share * len(others))]
-    return float(max(np.nextafter(first_refused, 1.0), 0.5))
+def fit_error_bar(values: Measured) -> ErrorBar:
+    """The error bar under which the targets' errors are most likely, for Student's t of `FREEDOM` degrees.
 
-
-def fit_std(values: Measured) -> tuple[float, float]:
-    """The scale of `yaw_std` and what joins it in quadrature [deg], so that the targets' errors are most likely."""
+    Its tails are heavier than a normal distribution's: a few frames go astray, and would widen all others' error bars.
+    """
     near = values.own & (values.error_deg <= ASTRAY_DEG) & np.isfinite(values.std_deg)
-    error, std = values.error_deg[near], values.std_deg[near]
+    error, one = np.radians(values.error_deg[near]), _of(values, near)
 
     def loss(beta: np.ndarray) -> float:
-        both = np.hypot(np.exp(beta[0]) * std, np.exp(beta[1]))
-        return float((np.log(both) + np.minimum(error / both, TAIL) ** 2 / 2).sum())
+        std = _std(ErrorBar(*beta), one)
+        spread = np.log(std) + (FREEDOM + 1) / 2 * np.log1p((error / std) ** 2 / FREEDOM)
+        return float(spread.mean())
 
-    best = minimize(loss, np.log([2.0, 0.3]), method="Nelder-Mead").x
-    return float(np.exp(best[0])), float(np.exp(best[1]))
+    return ErrorBar(*(float(v) for v in minimize(loss, [0.0, 0.7, 0.0, 0.0]).x))
+
+
+def _of(values: Measured, chosen: np.ndarray) -> Measured:
+    return Measured(**{name: getattr(values, name)[chosen] for name in Measured.__dataclass_fields__})
+
+
+def _std(bar: ErrorBar, values: Measured) -> np.ndarray:
+    """Standard deviations (frame,) [rad]."""
+    left_over, rise = (values.evidence[:, EVIDENCE.index(name)] for name in ("left_over", "frame_rise"))
+    return bar.std(np.radians(values.std_deg), left_over, rise)
 
 
 def _left_out(values: Measured, sought: np.ndarray) -> np.ndarray:
@@ -165,13 +171,13 @@ def _left_out(values: Measured, sought: np.ndarray) -> np.ndarray:
 
 
 def _row(
-    values: Measured, probability: np.ndarray, left_out: np.ndarray, std: np.ndarray, threshold: float,
+    values: Measured, probability: np.ndarray, left_out: np.ndarray, std: np.ndarray,
     chosen: np.ndarray,
 ) -> dict[str, Any]:  # fmt: skip
     own = values.own[chosen]
     error, std = values.error_deg[chosen][own], std[chosen][own]
     near = error <= ASTRAY_DEG
-    said = probability[chosen] >= threshold
+    said = probability[chosen] >= THRESHOLD
     scores = {"auc": probability, "left_out": left_out, "bank": values.bank, "refined": values.refined}
     return {
         "count": len(own),
@@ -189,10 +195,10 @@ def table(report: Report) -> str:
     """What is to be copied, and what it reaches."""
     rule = report["rule"]
     weights = ", ".join(f"{name} {value:.4g}" for name, value in rule["weights"].items())
+    bar = ", ".join(f"{name} {value:.4g}" for name, value in report["error_bar"].items())
     return (
         f"weights: {weights}\noffset {rule['offset']:.4g}, threshold {rule['threshold']:.4g}, false alarms "
-        f"{rule['false_alarms']:.3f}\nSTD_SCALE {report['std_scale']:.3f}, UNMODELLED_YAW "
-        f"{report['unmodelled_yaw_deg']:.3f}°\n\n{columns(report['rows'], HEADS)}"
+        f"{rule['false_alarms']:.3f}\nerror bar: {bar}\n\n{columns(report['rows'], HEADS)}"
     )
 
 

@@ -15,6 +15,7 @@ from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.match import Match, SearchConfig, TargetSearch, between_bins, peaks
 from sonarjax.refine import (
+    ERROR_BAR,
     Drawn,
     Evidence,
     RefineConfig,
@@ -43,11 +44,6 @@ FRAME_BLURS = (1.0, 0.5)
 """Blurs [range bins] of the refinement on the frame itself, which goes on from the map's."""
 FRAME_ITERATIONS = 3
 """Renders at each of these blurs, at most."""
-STD_SCALE, UNMODELLED_YAW = 1.0, math.radians(0.5)
-"""What `refine_yaw`'s standard deviation is multiplied by, and what joins it in quadrature [rad].
-
-Fitted to the errors on validation frames (experiments/fit_decision.py), whose devices have a tilt and a height a little
-off what they are told, and bounces, brightness and speckle that the echo template leaves out."""
 NEARER = 0.15
 """Share of the distances that are nearer than the one that the refinement's usual window is planned for."""
 SAME_YAW = math.radians(8.0)  # refined hypotheses closer than this are one
@@ -63,7 +59,7 @@ class Hypothesis:
     score: float
     """NCC (eq. 4) of its template."""
     yaw_std: float | None
-    """Standard deviation of the refined yaw [rad], given this hypothesis: see `STD_SCALE`.
+    """Standard deviation of the refined yaw [rad], given this hypothesis: see `refine.ErrorBar`.
 
     None without refinement."""
     converged: bool = True
@@ -113,7 +109,8 @@ class Recognition:
     semantic: np.ndarray = field(repr=False)
     """The image (range, beam) that was matched."""
     evidence: Mapping[str, float] | None = field(default=None, repr=False)
-    """What the rule weighs, by the names of `segment.EVIDENCE`; None without refinement."""
+    """What the rule weighs, by the names of `segment.EVIDENCE`, and `curvature_std`, the yaw's standard deviation [rad]
+    as `refine_yaw` gives it; None without refinement."""
 
 
 class Candidate(NamedTuple):
@@ -292,11 +289,12 @@ class Recognizer:
         # Each on its own: one that settles early waits for no other.
         parts = self.engine.map(refined, starts)
         estimate, pose, gathered = jax.tree.map(lambda *values: np.stack([np.asarray(v) for v in values]), *parts)
-        hypotheses = _refined(estimate, pose)
+        curves = _of_curves(best, in_frame)
+        hypotheses = _refined(estimate, pose, ERROR_BAR.std(estimate.yaw_std, gathered.left_over, curves["frame_rise"]))
         order = int(np.argmax([one.score for one in hypotheses]))
         evidence = {name: float(getattr(gathered, name)[order]) for name in EVIDENCE if hasattr(gathered, name)}
-        x, y = float(np.asarray(pose.x)[order]), float(np.asarray(pose.y)[order])
-        return _distinct(hypotheses), x, y, evidence | _of_curves(best, in_frame)
+        evidence |= curves | {"curvature_std": float(estimate.yaw_std[order])}
+        return _distinct(hypotheses), float(pose.x[order]), float(pose.y[order]), evidence
 
     def _refined(
         self, start: Start, image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None
@@ -403,10 +401,9 @@ def _kept(estimate: YawEstimate, start: Pose) -> Pose:
     return Pose(*(np.where(_is_kept(estimate), np.asarray(new), np.asarray(old)) for new, old in pairs))
 
 
-def _refined(estimate: YawEstimate, pose: Pose) -> list[Hypothesis]:
-    """A hypothesis for each of the `pose`s that were kept, with the score that belongs to it."""
+def _refined(estimate: YawEstimate, pose: Pose, stds: np.ndarray) -> list[Hypothesis]:
+    """A hypothesis for each of the `pose`s that were kept, with its error bar and the score that belongs to it."""
     scores = np.where(_is_kept(estimate), np.asarray(estimate.score), np.asarray(estimate.start_score))
-    stds = np.hypot(STD_SCALE * np.asarray(estimate.yaw_std), UNMODELLED_YAW)
     rows = zip(np.asarray(pose.yaw), scores, stds, np.asarray(estimate.converged), strict=True)
     return [Hypothesis(_wrap(yaw), float(score), float(std), bool(ok)) for yaw, score, std, ok in rows]
 

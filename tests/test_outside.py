@@ -9,6 +9,8 @@ from experiments import fit_decision, outside
 from experiments.common.scores import area
 from experiments.fit_decision import Measured
 from experiments.outside import Verdict
+from sonarjax.refine import ErrorBar
+from sonarjax.segment import EVIDENCE
 
 RNG = np.random.default_rng(7)
 
@@ -34,17 +36,14 @@ def test_the_logistic_fit_finds_the_log_odds_it_was_drawn_from() -> None:
     assert offset == pytest.approx(0.0, abs=0.08)
 
 
-def test_the_threshold_holds_its_share_of_false_alarms() -> None:
-    others = RNG.random(1000) ** 3
-    assert (others >= fit_decision.threshold_for(others, 0.2)).mean() <= 0.2 + 1e-9
-    assert fit_decision.threshold_for(0.4 * others, 0.2) == 0.5
-
-
 def test_error_bars_are_fitted_to_errors_drawn_from_them() -> None:
-    std = RNG.uniform(0.1, 1.0, 4000)
-    error = np.abs(RNG.normal(size=4000)) * np.hypot(2.5 * std, 0.6)
-    scale, beyond = fit_decision.fit_std(measured(np.ones(4000, bool), error_deg=error, std_deg=std))
-    assert scale == pytest.approx(2.5, rel=0.1) and beyond == pytest.approx(0.6, rel=0.15)
+    drawn, count = ErrorBar(-1.5, 0.6, 1.2, -3.0), 8000
+    std, evidence = RNG.uniform(0.1, 1.0, count), RNG.uniform(0.0, 0.7, (count, len(EVIDENCE)))
+    own = np.ones(count, bool)
+    given = measured(own, std_deg=std, evidence=evidence, error_deg=np.zeros(count))
+    error = np.abs(RNG.standard_t(fit_decision.FREEDOM, count)) * np.degrees(fit_decision._std(drawn, given))
+    found = fit_decision.fit_error_bar(measured(own, std_deg=std, evidence=evidence, error_deg=error))
+    assert fit_decision._std(found, given) == pytest.approx(fit_decision._std(drawn, given), rel=0.15)
 
 
 def test_a_frame_is_right_where_the_target_is_found_with_its_yaw() -> None:

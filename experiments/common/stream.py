@@ -24,7 +24,7 @@ from experiments.common.segmenters import loaded
 from sonarjax.io import Frame, SonarjaxError, iter_frames
 from sonarjax.io.load import PARSERS
 from sonarjax.plot import MARK_COLOR
-from sonarjax.recognize import MAP_REFINEMENT, UNMODELLED_YAW, Hypothesis, Recognition, refine_on_frame
+from sonarjax.recognize import MAP_REFINEMENT, Hypothesis, Recognition, refine_on_frame
 from sonarjax.sensor import SensorModel
 
 WAYS = ("recognize", "track map", "track frame")
@@ -100,13 +100,17 @@ class Finder:
     def __init__(
         self, mesh: sj.Mesh, sonar: sj.Sonar, segmenter: str, way: str, threshold: float | None = None
     ) -> None:
-        """`way` is one of WAYS; `threshold` replaces the segmenter's own. Raises SonarjaxError for another way."""
+        """`way` is one of WAYS; `threshold` is that of recognition, if not the segmenter's own.
+
+        Raises SonarjaxError for another way.
+        """
         if way not in WAYS:
             raise SonarjaxError(f"way: expected one of {', '.join(WAYS)}, got {way!r}")
         self.mesh, self.sonar, self.way, self.threshold = mesh, sonar, way, threshold
         self.recognizer = sj.Recognizer(mesh, sonar, segmenter=loaded(segmenter), engine=engine())
         self.tracked_on = loaded("none") if way == WAYS[2] else self.recognizer.segmenter
         self.last: sj.Pose | None = None
+        self.inflation = 1.0
 
     def __call__(self, frame: Frame) -> tuple[Recognition, bool]:
         """What a frame shows, and whether it was tracked from the last one.
@@ -117,13 +121,14 @@ class Finder:
         found = tracked
         if found is None:
             found = self.recognizer(frame.image, frame.mask, threshold=self.threshold)
+            self.inflation = _inflation(found)
         self.last = sj.Pose(found.x, found.y, found.yaw) if found.identified else None
         return found, tracked is not None
 
     def _tracked(self, frame: Frame, last: sj.Pose) -> Recognition | None:
         """The pose refined from the last one; None when its template correlates less than the threshold."""
-        mesh, sonar, on, limit = self.mesh, self.sonar, self.tracked_on, self.threshold
-        limit = on.threshold if limit is None else limit
+        mesh, sonar, on = self.mesh, self.sonar, self.tracked_on
+        limit = on.threshold
         assert limit is not None  # each segmenter of a stream has its own
         semantic = on.semantic(frame.image, frame.mask, engine())
         how: dict[str, Any] = {"config": MAP_REFINEMENT, "engine": engine()}
@@ -133,13 +138,20 @@ class Finder:
             return None
         estimate = refine_on_frame(frame.image, mesh, sonar, estimate.pose, frame.mask, **how)
         yaw, x, y, refined = (float(v) for v in (estimate.yaw, estimate.x, estimate.y, estimate.score))
-        std, settled = math.hypot(float(estimate.yaw_std), UNMODELLED_YAW), bool(estimate.converged)
+        std, settled = self.inflation * float(estimate.yaw_std), bool(estimate.converged)
         return Recognition(
             identified=True, target=next(iter(self.recognizer.targets)), runner_up=None, margin=None, score=score,
             score_bank=math.nan, score_refined=refined, threshold=limit, converged=settled,
             yaw_bin=math.nan, yaw=yaw, yaw_std=std, x=x, y=y, scores_by_yaw=np.empty(0),
             hypotheses=(Hypothesis(yaw, refined, std, settled),), segmenter=on.name, semantic=np.asarray(semantic),
         )  # fmt: skip
+
+
+def _inflation(found: Recognition) -> float:
+    """What the curvature's standard deviation was multiplied by: what is tracked from here on is as uncertain."""
+    curvature = 0.0 if found.evidence is None else found.evidence["curvature_std"]
+    finite = found.yaw_std is not None and math.isfinite(found.yaw_std) and curvature > 0
+    return found.yaw_std / curvature if finite and found.yaw_std is not None else 1.0
 
 
 def taken_up(path: Path) -> list[dict[str, Any]]:

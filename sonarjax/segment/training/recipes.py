@@ -111,7 +111,7 @@ PRESETS: dict[str, Recipe] = {
         batch=8,
         pairs=4096,
         passes=5,
-        sets=6,
+        sets=9,
         validation_pairs=256,
     ),
     # §3.2 on a GPU: 30 epochs of the 6,780 pairs at full width.
