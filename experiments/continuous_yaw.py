@@ -27,8 +27,9 @@ from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns, summary_deg
 from experiments.common.recognizers import unrefined
 from experiments.common.runs import Job
-from experiments.common.scores import recognize_all, target
+from experiments.common.scores import recognize_all
 from experiments.common.segmenters import Name, loaded
+from experiments.common.sets import target
 from sonarjax.segment import SEGMENTERS
 
 HALF_BIN_DEG = 5.0

@@ -8,30 +8,21 @@ fixed beforehand on validation frames (experiments/fit_threshold.py), the test-o
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 import sonarjax as sj
-from experiments.common.frames import TILTS_DEG, TestFrame, paper_frames
+from experiments.common.frames import TILTS_DEG, TestFrame
 from experiments.common.launch import Report, launch
 from experiments.common.maps import map_metrics
 from experiments.common.metrics import columns
 from experiments.common.runs import Job
-from experiments.common.scores import Found, recognize_all, summary_of, target
+from experiments.common.scores import Found, recognize_all, summary_of
 from experiments.common.segmenters import Name, available
+from experiments.common.sets import SETS, SetName, frames_of
 
-SetName = Literal["severity 1", "offset yaw", "severity 1.5", "mirror image", "other devices"]
-SETS: dict[str, dict[str, Any]] = {
-    "severity 1": {},
-    "offset yaw": {"yaw_offset_deg": 5.0},
-    "severity 1.5": {"severity": 1.5},
-    "mirror image": {"mirror": True},
-    "other devices": {"drawn": True},
-}
-"""Sets of frames: how each differs from the 288 of §4.1 at severity 1."""
 REFINED = "offset yaw"
 COLUMNS = {
     "segmenter": ("segmenter", "truth is the true map, what no segmenter can pass"),
@@ -65,18 +56,6 @@ class Settings:
     """Yaw step of each set [deg]; 10 gives the 288 frames of §4.1."""
     tilts_deg: tuple[float, ...] = TILTS_DEG
     """Tilts of the sonar [deg], of those of §4.1."""
-
-
-def mirrored(mesh: sj.Mesh) -> sj.Mesh:
-    """The mirror image of a mesh: the hardest other object."""
-    return sj.Mesh.from_arrays(np.asarray(mesh.vertices) * (1.0, -1.0, 1.0), np.asarray(mesh.faces)[:, ::-1], "mirror")
-
-
-def frames_of(name: str, seed: int, step_deg: int, tilts_deg: Sequence[float]) -> list[TestFrame]:
-    """The frames of one set."""
-    options = dict(SETS[name])
-    other = mirrored(target()) if options.pop("mirror", False) else None
-    return paper_frames(seed, step_deg=step_deg, other=other, tilts_deg=tilts_deg, **options)
 
 
 def row(found: Found, frames: list[TestFrame]) -> dict[str, float]:

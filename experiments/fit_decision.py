@@ -1,6 +1,6 @@
 """How should a refined match be judged, and how large are its errors? A rule and error bars from validation frames.
 
-python -m experiments.fit_decision [--segmenter FILE] [--preset smoke] [--help]
+python -m experiments.fit_decision [--segmenter FILE --into FILE] [--preset smoke] [--help]
 
 A logistic regression weighs the evidence of `sonarjax.refine.evidence`, its AUC also given with each object left out of
 the fit in turn; one half is its threshold. `yaw_std` is corrected so that the errors are most likely. Validation frames
@@ -26,7 +26,9 @@ from experiments.common.recognizers import recognizers
 from experiments.common.runs import Job
 from experiments.common.scores import area
 from experiments.common.validation import Case, scenes, validation_cases
+from sonarjax.io.safetensors import read_safetensors, write_safetensors
 from sonarjax.refine import ErrorBar
+from sonarjax.refine.errorbar import LEAST
 from sonarjax.segment import EVIDENCE
 
 THRESHOLD = 0.5
@@ -35,8 +37,8 @@ RIDGE = 1.0
 """Weight of the squared coefficients of standardised evidence in the logistic loss [1]."""
 ASTRAY_DEG = 30.0
 """Yaw errors beyond it are of another hypothesis: no error bar is fitted to them."""
-FREEDOM = 4.0
-"""Degrees of freedom of the distribution of yaw errors."""
+TAIL = 4.0
+"""An error of more standard deviations than this counts as this many [1]."""
 HEADS = {
     "frames": "frames of", "count": "count", "auc": "AUC", "left_out": "AUC, object left out",
     "bank": "AUC of score_bank", "refined": "AUC of score_refined",
@@ -55,6 +57,8 @@ class Settings:
     """Validation frames."""
     tilts_deg: tuple[float, ...] = TILTS_DEG
     """Tilts of the sonar [deg], of those of §4.1."""
+    into: str = ""
+    """A weights file that is given the rule; empty for none."""
 
 
 @dataclass(frozen=True)
@@ -79,9 +83,9 @@ def run(settings: Settings, job: Job) -> Report:
     """The rule, the error bar, and what both reach."""
     cases = validation_cases(job.seed, settings.count, tilts_deg=settings.tilts_deg)
     found = job.map(lambda name: _measure(cases, name), (settings.segmenter,), "segmenter")[settings.segmenter]
-    values = Measured(**{name: np.asarray(v) for name, v in found.items()})
+    values = Measured(**{name: np.asarray(v, bool if name == "own" else float) for name, v in found.items()})
     facts = {"sought": [case.sought for case in cases], "shown": [case.shown for case in cases]}
-    job.arrays("measured", **found, **facts, odd=[case.odd for case in cases])
+    job.arrays("measured", **vars(values), **facts, odd=[case.odd for case in cases])
     odds, weights, offset = fit_logistic(values.evidence, values.own)
     probability = 1 / (1 + np.exp(-odds(values.evidence)))
     bar = fit_error_bar(values)
@@ -97,6 +101,9 @@ def run(settings: Settings, job: Job) -> Report:
     false = float((probability >= THRESHOLD)[~values.own].mean())
     rule = {"weights": dict(zip(EVIDENCE, weights, strict=True)), "offset": offset}
     rule |= {"threshold": THRESHOLD, "false_alarms": false}
+    if settings.into:
+        arrays, about = read_safetensors(settings.into)
+        write_safetensors(settings.into, arrays, about | {"rule": rule})
     return {"rule": rule, "error_bar": bar._asdict(), "rows": rows}
 
 
@@ -134,23 +141,28 @@ def fit_logistic(evidence: np.ndarray, own: np.ndarray) -> tuple[Callable[[Any],
 
 
 def fit_error_bar(values: Measured) -> ErrorBar:
-    """The error bar under which the targets' errors are most likely, for Student's t of `FREEDOM` degrees.
+    """The error bar under which the targets' errors are most likely, for a normal distribution cut at `TAIL`.
 
-    Its tails are heavier than a normal distribution's: a few frames go astray, and would widen all others' error bars.
+    A few frames go astray, and would widen all others' error bars.
     """
     near = values.own & (values.error_deg <= ASTRAY_DEG) & np.isfinite(values.std_deg)
-    error, one = np.radians(values.error_deg[near]), _of(values, near)
+    error, known = np.radians(values.error_deg[near]), _known(values)[near]
+    mean, spread = known.mean(0), known.std(0) + 1e-9
+    scaled = (known - mean) / spread
 
     def loss(beta: np.ndarray) -> float:
-        std = _std(ErrorBar(*beta), one)
-        spread = np.log(std) + (FREEDOM + 1) / 2 * np.log1p((error / std) ** 2 / FREEDOM)
-        return float(spread.mean())
+        log_std = beta[0] + scaled @ beta[1:]
+        return float((log_std + np.minimum(error / np.exp(log_std), TAIL) ** 2 / 2).sum())
 
-    return ErrorBar(*(float(v) for v in minimize(loss, [0.0, 0.7, 0.0, 0.0]).x))
+    beta = minimize(loss, [np.log(error.mean()), 0.0, 0.0, 0.0]).x
+    weights = beta[1:] / spread
+    return ErrorBar(float(beta[0] - weights @ mean), *(float(w) for w in weights))
 
 
-def _of(values: Measured, chosen: np.ndarray) -> Measured:
-    return Measured(**{name: getattr(values, name)[chosen] for name in Measured.__dataclass_fields__})
+def _known(values: Measured) -> np.ndarray:
+    """What error bars are made of (frame, number): the fields of `ErrorBar` after its offset."""
+    columns = [values.evidence[:, EVIDENCE.index(name)] for name in ("left_over", "frame_rise")]
+    return np.stack([np.log(np.maximum(np.radians(values.std_deg), LEAST)), *columns], axis=-1)
 
 
 def _std(bar: ErrorBar, values: Measured) -> np.ndarray:

@@ -26,16 +26,18 @@ import sonarjax as sj
 from experiments.common.engine import engine
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns, yaw_error_deg
-from experiments.common.outside import OutsideFrame, OutsideSet, judge_set, read_set
+from experiments.common.outside import OutsideFrame, OutsideSet, judge_set, own_set, read_set
 from experiments.common.runs import Job
 from experiments.common.scores import area
 from experiments.common.segmenters import loaded
+from experiments.common.sets import SetName
 from experiments.common.tank import tank_metrics
 
 RIGHT_DEG, ASTRAY_DEG = 5.0, 30.0
 """Largest yaw error of a right frame, and the error beyond which a yaw is another one altogether [deg]."""
 EXTERNAL = ("offset", "severe", "mirror", "off_geometry")
 JUDGED = ("offset", "severe", "mirror", "devices")
+OWN: tuple[SetName, ...] = ("offset yaw", "severity 1.5", "mirror image", "other devices")
 RANKED = ("offset", "severe")
 """Sets whose `yaw_std` must rank their frames."""
 RESAMPLED = 1000
@@ -74,12 +76,14 @@ class Settings:
     """Folder with images/ and masks/ of the tank; empty for `watertank` in that of SONARJAX_REAL_DATA, or none."""
     judged: tuple[str, ...] = JUDGED
     """Kinds of frames of the independent judge."""
+    own: tuple[SetName, ...] = OWN
+    """Sets of our own simulator, for comparison."""
     external_sets: tuple[str, ...] = EXTERNAL
     """Folders of the other simulator."""
     every: int = 1
     """One frame in so many is looked at."""
     step_deg: int = 10
-    """Yaw step of the judge's frames [deg]."""
+    """Yaw step of the judge's frames and of our own [deg]."""
     segmenter: str = "pix2pix"
     """The segmenter judged, beside `none`."""
 
@@ -104,6 +108,7 @@ def run(settings: Settings, job: Job) -> Report:
     if folder:
         made |= {f"external, {name}": partial(read_set, Path(folder) / name) for name in settings.external_sets}
     found = job.map(lambda make: _judged(make(), settings), made, "sets")
+    made |= {f"our own, {name}": partial(own_set, name, job.seed, settings.step_deg) for name in settings.own}
     tank = _tank_folder(settings)
     rows = [{"set": name} | {k: v for k, v in row.items() if k != "ranked"} for name, row in found.items()]
     ranks = {
@@ -221,5 +226,5 @@ def table(report: Report) -> str:
 
 
 if __name__ == "__main__":
-    smoke = {"judged": ("offset",), "external_sets": ("offset",), "every": 8, "step_deg": 90}
+    smoke = {"judged": ("offset",), "own": (), "external_sets": ("offset",), "every": 8, "step_deg": 90}
     launch(run, Settings, table, smoke=smoke)

@@ -16,7 +16,7 @@ from experiments.common import runs
 from experiments.common.frames import STEP_DEG, paper_frames
 from experiments.common.launch import Skipped, combined, launch, parse
 from experiments.common.runs import Job, find_run, load_arrays, load_report, run_folder
-from experiments.evaluate_segmenters import mirrored
+from experiments.common.sets import mirrored
 from experiments.fit_threshold import best_threshold
 from sonarjax.data.pairs import SPLITS
 from sonarjax.io import SonarjaxError

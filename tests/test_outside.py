@@ -41,7 +41,7 @@ def test_error_bars_are_fitted_to_errors_drawn_from_them() -> None:
     std, evidence = RNG.uniform(0.1, 1.0, count), RNG.uniform(0.0, 0.7, (count, len(EVIDENCE)))
     own = np.ones(count, bool)
     given = measured(own, std_deg=std, evidence=evidence, error_deg=np.zeros(count))
-    error = np.abs(RNG.standard_t(fit_decision.FREEDOM, count)) * np.degrees(fit_decision._std(drawn, given))
+    error = np.abs(RNG.normal(size=count)) * np.degrees(fit_decision._std(drawn, given))
     found = fit_decision.fit_error_bar(measured(own, std_deg=std, evidence=evidence, error_deg=error))
     assert fit_decision._std(found, given) == pytest.approx(fit_decision._std(drawn, given), rel=0.15)
 

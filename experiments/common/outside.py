@@ -10,7 +10,9 @@ from pathlib import Path
 import numpy as np
 
 import sonarjax as sj
+from experiments.common.frames import TILTS_DEG, sonar_for
 from experiments.common.launch import Skipped
+from experiments.common.sets import frames_of, target
 from sonarjax.io import read_frames
 
 TRUTH = "truth.csv"
@@ -64,6 +66,15 @@ def read_set(folder: Path, every: int = 1) -> OutsideSet:
         return OutsideFrame(image, sonars[group], group, line["object"] == "target", yaw)
 
     return OutsideSet(folder.name, sj.Mesh.load(folder / "target.stl"), [frame(line) for line in lines])
+
+
+def own_set(name: str, seed: int, step_deg: int) -> OutsideSet:
+    """Frames of our own simulator, one of `sets.SETS`: not from outside, but judged alike, for comparison."""
+    frames = [
+        OutsideFrame(frame.image, sonar_for(frame.tilt_deg), f"{frame.tilt_deg:g}", frame.is_target, frame.yaw)
+        for frame in frames_of(name, seed, step_deg, TILTS_DEG)
+    ]
+    return OutsideSet(f"our own, {name}", target(), frames)
 
 
 def judge_set(seed: int, kind: str, step_deg: float) -> OutsideSet:

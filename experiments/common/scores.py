@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +15,7 @@ from experiments.common.frames import TestFrame, sonar_for
 from experiments.common.metrics import WITHIN_BIN_DEG, accuracy, best_accuracy, summary_deg, yaw_error_deg
 from experiments.common.recognizers import recognizers, unrefined
 from experiments.common.segmenters import loaded, map_of, threshold_of
+from experiments.common.sets import target
 from sonarjax.segment import SEGMENTERS
 
 
@@ -44,12 +44,6 @@ class Found(NamedTuple):
     def arrays(self) -> dict[str, np.ndarray]:
         """The arrays (frame,) by name, to be kept for figures."""
         return {name: value for name, value in self._asdict().items() if isinstance(value, np.ndarray)}
-
-
-@cache
-def target() -> sj.Mesh:
-    """The paper's target: one mesh for all frames."""
-    return sj.objects.target()
 
 
 def recognize_all(
