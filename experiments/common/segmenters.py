@@ -21,7 +21,7 @@ from sonarjax.segment.tiled import segment
 DISCRIMINATIVE, TILES, TRUTH = "discriminative", "pix2pix-tiles", "truth"
 Name = Literal["truth", "pix2pix", "pix2pix-tiles", "discriminative", "none", "otsu", "otsu1", "otsu3", "median-otsu"]
 DISCRIMINATIVE_WEIGHTS = Path(__file__).resolve().parents[1] / "discriminative.safetensors"
-OWN_THRESHOLDS = {TRUTH: 0.837, TILES: 0.854, DISCRIMINATIVE: 0.838}
+OWN_THRESHOLDS = {TRUTH: 0.947, TILES: 0.825, DISCRIMINATIVE: 0.851}
 """Least score of an identified target, from validation frames of experiments/fit_threshold.py."""
 NAMES: tuple[Name, ...] = get_args(Name)
 """All that are compared: `truth` is the true map, `pix2pix-tiles` the network without its closer looks."""

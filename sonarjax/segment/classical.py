@@ -11,7 +11,7 @@ from skimage.filters import threshold_multiotsu, threshold_otsu
 
 CLASSICAL = ("none", "otsu", "otsu1", "otsu3", "median-otsu")
 """Names that `threshold_labels` knows."""
-THRESHOLDS = {"none": 0.528, "otsu": 0.571, "otsu1": 0.382, "otsu3": 0.463, "median-otsu": 0.610}
+THRESHOLDS = {"none": 0.513, "otsu": 0.594, "otsu1": 0.428, "otsu3": 0.445, "median-otsu": 0.608}
 """Least score of an identified target for each; validation frames of experiments/fit_threshold.py."""
 MEDIANS = {"otsu": 3, "median-otsu": 5}
 """Side of the median filter before the thresholds [pixel]."""

@@ -63,6 +63,6 @@ def read_rule(found: Any, name: str) -> IdentificationRule | None:
     return rule
 
 
-NONE = (-0.174, 7.079, -12.81, 0.448, -9.013, 16.04, 16.04, -6.769)
-RULES: dict[str, IdentificationRule] = {"none": IdentificationRule(NONE, 12.25, 0.5, 0.219)}
+NONE = (2.724, 7.531, -14.78, 0.5205, -12.22, 27.75, 27.75, -11.96)
+RULES: dict[str, IdentificationRule] = {"none": IdentificationRule(NONE, 15.58, 0.5, 0.133)}
 """Rules of segmenters that have no weights file, by name; experiments/fit_decision.py."""
