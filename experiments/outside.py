@@ -104,11 +104,11 @@ class Verdict(NamedTuple):
 def run(settings: Settings, job: Job) -> Report:
     """One row a set; the tank's rows; how well `yaw_std` ranks the frames."""
     made = {f"judge, {kind}": partial(judge_set, job.seed, kind, settings.step_deg) for kind in settings.judged}
+    made |= {f"our own, {name}": partial(own_set, name, job.seed, settings.step_deg) for name in settings.own}
     folder = settings.external or os.environ.get("SONARJAX_EXTERNAL_DATA", "")
     if folder:
         made |= {f"external, {name}": partial(read_set, Path(folder) / name) for name in settings.external_sets}
     found = job.map(lambda make: _judged(make(), settings), made, "sets")
-    made |= {f"our own, {name}": partial(own_set, name, job.seed, settings.step_deg) for name in settings.own}
     tank = _tank_folder(settings)
     rows = [{"set": name} | {k: v for k, v in row.items() if k != "ranked"} for name, row in found.items()]
     ranks = {

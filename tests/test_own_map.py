@@ -1,17 +1,18 @@
-"""`recognize` with a semantic map of one's own."""
+"""`recognize` with a semantic map of one's own, with a map of no use, and with a rule."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 
 import sonarjax as sj
+from sonarjax.engine import PLAIN
 from sonarjax.io import SonarjaxError
 from sonarjax.recognize import MAP_REFINEMENT
-from sonarjax.segment import load_segmenter
+from sonarjax.segment import EVIDENCE, IdentificationRule, Segmenter, load_segmenter
 
 # Few beams and a short window, so that few banks are rendered.
 AZIMUTH = np.radians((np.arange(24) - 11.5) * 29 / 24).astype(np.float32)
@@ -31,23 +32,24 @@ def image(mesh):
 
 
 @pytest.mark.parametrize(
-    ("masked", "refine"),
+    ("segmenter", "masked", "refine"),
     [
-        (False, None),
-        pytest.param(True, None, marks=pytest.mark.slow),
-        pytest.param(False, MAP_REFINEMENT, marks=pytest.mark.slow),
+        ("otsu", False, None),
+        pytest.param("otsu", True, None, marks=pytest.mark.slow),
+        pytest.param("none", False, MAP_REFINEMENT, marks=pytest.mark.slow),
     ],
 )
-def test_a_segmenter_s_own_map_gives_what_the_segmenter_gives(image, mesh, masked, refine):
+def test_a_segmenter_s_own_map_gives_what_the_segmenter_gives(image, mesh, segmenter, masked, refine):
+    """All but the score: a rule is a segmenter's, and a map of one's own has none."""
     mask = np.ones(SONAR.shape, bool)
     mask[:10] = False
     mask = mask if masked else None
-    recognizer = sj.Recognizer(mesh, SONAR, segmenter="otsu", refine=refine)
+    recognizer = sj.Recognizer(mesh, SONAR, segmenter=segmenter, refine=refine)
     by_name = recognizer(image, mask, threshold=0.5)
     filled = image if mask is None else np.where(mask, image, np.float32(0.5))
-    given = recognizer(image, mask, semantic=load_segmenter("otsu").semantic(filled, mask), threshold=0.5)
-    assert given.segmenter == "given"
-    for name in (field.name for field in fields(given) if field.name != "segmenter"):
+    given = recognizer(image, mask, semantic=load_segmenter(segmenter).semantic(filled, mask), threshold=0.5)
+    assert given.segmenter == "given" and given.score == given.score_bank
+    for name in {field.name for field in fields(given)} - {"segmenter", "score"}:
         np.testing.assert_array_equal(getattr(given, name), getattr(by_name, name), err_msg=name)
 
 
@@ -66,3 +68,27 @@ def test_a_map_that_cannot_be_used_is_named(image, mesh, change, said):
 def test_a_map_needs_a_threshold(image, mesh):
     with pytest.raises(SonarjaxError, match="threshold: expected a number"):
         sj.recognize(image, mesh, SONAR, semantic=image)
+
+
+class Blind(Segmenter):
+    """A segmenter that sees nothing but noise."""
+
+    def semantic(self, image, mask=None, engine=PLAIN):
+        return np.random.default_rng(1).random(image.shape, np.float32)
+
+
+@pytest.mark.slow
+def test_where_the_map_is_of_no_use_the_frame_itself_gives_the_yaw(image, mesh):
+    result = sj.Recognizer(mesh, SONAR, segmenter=Blind("blind", 0.5))(image)
+    assert math.degrees(abs(result.yaw - 0.8)) < 2 < math.degrees(abs(result.yaw_bin - 0.8))
+    assert set(EVIDENCE) < set(result.evidence)
+    assert result.evidence["frame_peak"] > result.score_bank
+
+
+@pytest.mark.slow
+def test_a_rule_weighs_the_evidence_and_its_threshold_decides(image, mesh):
+    rule = IdentificationRule((1.0,) * len(EVIDENCE), -2.0, 0.3, 0.1)
+    result = sj.Recognizer(mesh, SONAR, segmenter=replace(load_segmenter("none"), rule=rule))(image)
+    odds = sum(result.evidence[name] for name in EVIDENCE) - 2.0
+    assert result.score == pytest.approx(1 / (1 + math.exp(-odds)))
+    assert result.threshold == 0.3 and result.identified == (result.score >= 0.3)

@@ -133,10 +133,15 @@ def _after_tiles(state: _Seen, mask: Bool[Array, "range beam"] | None, closer: i
 
 
 def _paste(state: _Seen, answer: Float[Array, "height width"], box: Box, wanted: Bool[Array, ""]) -> _Seen:
-    """A closer look's map takes the place of what was there, in the pixels that lie wholly inside its box."""
+    """A closer look's map takes the place of what was there, in the pixels that lie wholly inside its box.
+
+    Where it is the less sure of the two, their mean does: what the look cuts off is not lost.
+    """
     shape = state.grey.shape[0], state.grey.shape[1]
-    inside = pixels_inside(box, shape) & wanted
-    return state._replace(grey=jnp.where(inside, paste_patch(answer, box, shape), state.grey))
+    look = paste_patch(answer, box, shape)
+    surer = jnp.abs(look - BACKGROUND) >= jnp.abs(state.grey - BACKGROUND)
+    joined = jnp.where(surer, look, (look + state.grey) / 2)
+    return state._replace(grey=jnp.where(pixels_inside(box, shape) & wanted, joined, state.grey))
 
 
 def box_around(bounds: Int[Array, "4"], shape: tuple[int, ...]) -> Box:
