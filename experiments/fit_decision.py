@@ -183,9 +183,9 @@ def _left_out(values: Measured, sought: np.ndarray) -> np.ndarray:
 
 
 def _row(
-    values: Measured, probability: np.ndarray, left_out: np.ndarray, std: np.ndarray,
-    chosen: np.ndarray,
-) -> dict[str, Any]:  # fmt: skip
+    values: Measured, probability: np.ndarray, left_out: np.ndarray, std: np.ndarray, chosen: np.ndarray
+) -> dict[str, Any]:
+    """What rule and error bars, with standard deviations (frame,) [deg], reach in the `chosen` (frame,) frames."""
     own = values.own[chosen]
     error, std = values.error_deg[chosen][own], std[chosen][own]
     near = error <= ASTRAY_DEG

@@ -29,7 +29,7 @@ from experiments.common.recognizers import recognizers
 from experiments.common.runs import Job
 from experiments.common.scores import area
 from experiments.common.segmenters import Name, loaded
-from experiments.common.validation import SYMMETRIC, Scene, scenes
+from experiments.common.validation import Scene, scenes, shown_in
 from sonarjax.data.materials import reflectivity
 from sonarjax.sensor import SensorModel
 
@@ -115,7 +115,7 @@ def _frame(
     """Scene, tilt [deg], whether its target is shown, yaw [rad] and image (range, beam) of one frame."""
     names = list(scenes())
     scene, rest = names[number % len(names)], number // len(names)
-    shown, tilt = (0, 1, 0, 1 if scene in SYMMETRIC else 2)[rest % 4], tilts_deg[rest // 4 % len(tilts_deg)]
+    shown, tilt = shown_in(scene, rest), tilts_deg[rest // 4 % len(tilts_deg)]
     draws = np.asarray(jax.random.uniform(jax.random.fold_in(key, 1), (3,)), float)
     pose = sj.Pose(GROUND_RANGE_M[tilt] + 0.2 * draws[0] - 0.1, 0.2 * draws[1] - 0.1, 2 * math.pi * draws[2])
     more_tilt, more_height = GEOMETRIES.get(name, (0.0, 0.0))

@@ -29,7 +29,7 @@ from sonarjax.refine import (
 from sonarjax.render import WindowSize
 from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS
 from sonarjax.scene import Mesh, Pose
-from sonarjax.segment import DEFAULT_SEGMENTER, EVIDENCE, Segmenter, load_segmenter
+from sonarjax.segment import DEFAULT_SEGMENTER, Segmenter, load_segmenter
 from sonarjax.sonar import Sonar
 
 MAP_REFINEMENT = RefineConfig(
@@ -87,7 +87,7 @@ class Recognition:
     runner_up: str | None
     """Name of the target that matches second best; None with a single target."""
     margin: float | None
-    """Score minus that of the runner-up; None with a single target."""
+    """`score_bank` minus that of the runner-up; None with a single target."""
     yaw_bin: float
     """Yaw of the best template [rad], turned to the bearing at which it was found."""
     yaw: float
@@ -292,7 +292,7 @@ class Recognizer:
         curves = _of_curves(best, in_frame)
         hypotheses = _refined(estimate, pose, ERROR_BAR.std(estimate.yaw_std, gathered.left_over, curves["frame_rise"]))
         order = int(np.argmax([one.score for one in hypotheses]))
-        evidence = {name: float(getattr(gathered, name)[order]) for name in EVIDENCE if hasattr(gathered, name)}
+        evidence = {name: float(values[order]) for name, values in vars(gathered).items()}
         evidence |= curves | {"curvature_std": float(estimate.yaw_std[order])}
         return _distinct(hypotheses), float(pose.x[order]), float(pose.y[order]), evidence
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -149,7 +150,8 @@ def test_arguments_that_do_not_go_together_are_refused(wrong, said):
 def test_a_tracker_that_lost_its_object_recognizes_anew(sonar, frames):
     finder = stream.Finder(sj.objects.target(), sonar, "none", "track frame")
     assert finder(Frame(frames[0], None, "a", "a"))[1] is False
-    finder.threshold = 2.0  # no correlation reaches it: tracking fails, so does recognition
+    finder.threshold = 2.0  # no probability reaches it: recognition fails
+    finder.tracked_on = replace(finder.tracked_on, threshold=2.0)  # nor any correlation: tracking fails
     result, tracked = finder(Frame(frames[1], None, "b", "b"))
     assert not tracked
     assert not result.identified

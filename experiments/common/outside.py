@@ -1,4 +1,4 @@
-"""Frames that the package did not draw: folders of another simulator's, and those of the independent judge."""
+"""Frames to be judged: folders of another simulator's, those of the independent judge, and our own for comparison."""
 
 from __future__ import annotations
 
@@ -25,9 +25,7 @@ class OutsideFrame:
     image: np.ndarray
     """Grey frame (range, beam) in [0, 1]."""
     sonar: sj.Sonar
-    """The nominal geometry, which may be a little wrong; one object for all frames of a set."""
-    group: str
-    """Frames of one group have one sonar."""
+    """The nominal geometry, which may be a little wrong; frames of one sonar share one object."""
     is_target: bool
     """True for the target, False for another object."""
     yaw: float
@@ -46,8 +44,8 @@ class OutsideSet:
     """The frames."""
 
 
-def read_set(folder: Path, every: int = 1) -> OutsideSet:
-    """A folder with target.stl, truth.csv and set_K/sonar.toml, of which one frame in `every` is taken.
+def read_set(folder: Path) -> OutsideSet:
+    """A folder with target.stl, truth.csv and set_K/sonar.toml.
 
     Raises SonarjaxError when a file is missing or cannot be used.
     """
@@ -55,7 +53,7 @@ def read_set(folder: Path, every: int = 1) -> OutsideSet:
     if not path.is_file():
         raise sj.SonarjaxError(f"{path}: no such file, expected the truth of a folder of frames")
     with path.open(encoding="utf-8", newline="") as file:
-        lines = list(csv.DictReader(file))[::every]
+        lines = list(csv.DictReader(file))
     groups = sorted({Path(line["frame"]).parent.as_posix() for line in lines})
     sonars = {group: sj.Sonar.from_toml(folder / group / "sonar.toml") for group in groups}
 
@@ -63,7 +61,7 @@ def read_set(folder: Path, every: int = 1) -> OutsideSet:
         group = Path(line["frame"]).parent.as_posix()
         image = np.asarray(read_frames(folder / line["frame"])[0].image, np.float32)
         yaw = math.radians(float(line["yaw_deg"]))
-        return OutsideFrame(image, sonars[group], group, line["object"] == "target", yaw)
+        return OutsideFrame(image, sonars[group], line["object"] == "target", yaw)
 
     return OutsideSet(folder.name, sj.Mesh.load(folder / "target.stl"), [frame(line) for line in lines])
 
@@ -71,7 +69,7 @@ def read_set(folder: Path, every: int = 1) -> OutsideSet:
 def own_set(name: str, seed: int, step_deg: int) -> OutsideSet:
     """Frames of our own simulator, one of `sets.SETS`: not from outside, but judged alike, for comparison."""
     frames = [
-        OutsideFrame(frame.image, sonar_for(frame.tilt_deg), f"{frame.tilt_deg:g}", frame.is_target, frame.yaw)
+        OutsideFrame(frame.image, sonar_for(frame.tilt_deg), frame.is_target, frame.yaw)
         for frame in frames_of(name, seed, step_deg, TILTS_DEG)
     ]
     return OutsideSet(f"our own, {name}", target(), frames)
@@ -84,7 +82,7 @@ def judge_set(seed: int, kind: str, step_deg: float) -> OutsideSet:
     except ImportError as error:
         raise Skipped(f"the judge needs Embree: pip install 'sonarjax[bench]' ({error})") from error
     frames = [
-        OutsideFrame(frame.image, frame.sonar, str(frame.group), frame.is_target, frame.yaw)
+        OutsideFrame(frame.image, frame.sonar, frame.is_target, frame.yaw)
         for frame in judge_frames(seed, kind, step_deg)
     ]
     return OutsideSet(f"judge, {kind}", sj.objects.target(), frames)

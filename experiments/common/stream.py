@@ -110,7 +110,7 @@ class Finder:
         self.recognizer = sj.Recognizer(mesh, sonar, segmenter=loaded(segmenter), engine=engine())
         self.tracked_on = loaded("none") if way == WAYS[2] else self.recognizer.segmenter
         self.last: sj.Pose | None = None
-        self.inflation = 1.0
+        self.inflation = 1.0  # of error bars, by the last recognition
 
     def __call__(self, frame: Frame) -> tuple[Recognition, bool]:
         """What a frame shows, and whether it was tracked from the last one.
@@ -150,8 +150,9 @@ class Finder:
 def _inflation(found: Recognition) -> float:
     """What the curvature's standard deviation was multiplied by: what is tracked from here on is as uncertain."""
     curvature = 0.0 if found.evidence is None else found.evidence["curvature_std"]
-    finite = found.yaw_std is not None and math.isfinite(found.yaw_std) and curvature > 0
-    return found.yaw_std / curvature if finite and found.yaw_std is not None else 1.0
+    if found.yaw_std is None or not math.isfinite(found.yaw_std) or curvature <= 0:
+        return 1.0
+    return found.yaw_std / curvature
 
 
 def taken_up(path: Path) -> list[dict[str, Any]]:

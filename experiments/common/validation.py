@@ -119,6 +119,11 @@ def _objects() -> dict[str, tuple[sj.Mesh, sj.Mesh]]:
     }
 
 
+def shown_in(name: str, turn: int) -> int:
+    """Which mesh of its `Scene` (0 the target) is shown in frame number `turn` of an object: every other one is it."""
+    return (0, 1, 0, 1 if name in SYMMETRIC else 2)[turn % 4]
+
+
 def validation_cases(
     seed: int, count: int, *, tilts_deg: Sequence[float] = (15.0, 20.0, 25.0), names: Sequence[str] | None = None
 ) -> list[Case]:
@@ -129,7 +134,7 @@ def validation_cases(
     def simulate(number: int) -> Case:
         part = jax.random.fold_in(key, number)
         name, rest = names[number % len(names)], number // len(names)
-        shown = (0, 1, 0, 1 if name in SYMMETRIC else 2)[rest % 4]
+        shown = shown_in(name, rest)
         tilt = float(tilts_deg[rest // 4 % len(tilts_deg)])
         return _case(name, scenes()[name][shown], Scene._fields[shown], tilt, key=part)
 

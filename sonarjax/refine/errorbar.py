@@ -25,7 +25,10 @@ class ErrorBar(NamedTuple):
     """Weight of `frame_rise`, by how much the best yaw stands out in the frame."""
 
     def std(self, curvature_std: np.ndarray, left_over: np.ndarray, rise: np.ndarray | float) -> np.ndarray:
-        """Standard deviation of yaw [rad], of the arguments' shape; infinite where the curvature's is."""
+        """Standard deviations of yaw [rad] (*batch), infinite where the curvature's are.
+
+        `curvature_std` [rad] and `left_over` [1] are (*batch), `rise` [NCC] is (*batch) or one number.
+        """
         known = np.log(np.maximum(curvature_std, LEAST))
         return np.exp(self.offset + self.power * known + self.left_over * left_over + self.rise * rise)
 

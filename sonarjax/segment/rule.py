@@ -63,6 +63,12 @@ def read_rule(found: Any, name: str) -> IdentificationRule | None:
     return rule
 
 
-NONE = (2.724, 7.531, -14.78, 0.5205, -12.22, 27.75, 27.75, -11.96)
-RULES: dict[str, IdentificationRule] = {"none": IdentificationRule(NONE, 15.58, 0.5, 0.133)}
+RULES: dict[str, IdentificationRule] = {
+    "none": IdentificationRule(
+        weights=(2.724, 7.531, -14.78, 0.5205, -12.22, 27.75, 27.75, -11.96),
+        offset=15.58,
+        threshold=0.5,
+        false_alarms=0.133,
+    )
+}
 """Rules of segmenters that have no weights file, by name; experiments/fit_decision.py."""
