@@ -54,7 +54,8 @@ def error_deg(found):
 def test_frames_of_a_sensor_give_a_better_yaw_than_by_the_semantic_template(mesh, seen):
     semantic, echo = (error_deg(sj.refine_yaw(seen[0], mesh, SONAR, starts(), config=way)) for way in ON_FRAME)
     print(f"\nsemantic {semantic.round(2)}°, echo {echo.round(2)}°")
-    assert echo.max() < 0.4 < semantic.max()
+    # The device's law is not told: one is chosen on each frame, which costs a little beside knowing it.
+    assert echo.max() < 0.6 < semantic.max()
     assert echo.mean() < 0.5 * semantic.mean()
 
 
