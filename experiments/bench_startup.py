@@ -71,7 +71,7 @@ SCRIPTS = {
         recognizer="def recognize(image): sj.recognize(image, mesh, sonar, segmenter=segmenter, refine=refine)",
     ),
     NEW: COMMON.format(
-        setup="from sonarjax import cpu\nfrom sonarjax.recognize import MAP_REFINEMENT\ncpu.tune()",
+        setup="from sonarjax import cpu\nfrom sonarjax.refine import MAP_REFINEMENT\ncpu.tune()",
         recognizer="recognize = sj.Recognizer(mesh, sonar, segmenter=segmenter, engine=cpu.CpuEngine(), "
         "refine=MAP_REFINEMENT if refine else None)",
     ),

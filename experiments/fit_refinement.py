@@ -29,7 +29,7 @@ from experiments.common.recognizers import recognizers
 from experiments.common.runs import Job
 from experiments.common.scores import target
 from experiments.common.segmenters import Name, map_of
-from sonarjax.recognize import FRAME_BLURS, FRAME_ITERATIONS, MAP_REFINEMENT, on_frame
+from sonarjax.refine import FRAME_BLURS, FRAME_ITERATIONS, MAP_REFINEMENT, on_frame
 
 BLURS = ((2.0, 0.8), (4.0, 1.5), (1.0, 0.5))
 SHARPNESSES = (0.0, 10.0)

@@ -36,7 +36,8 @@ from experiments.common.segmenters import loaded
 from experiments.common.sheets import COLUMNS, Panel, draw_sheet
 from sonarjax.match import between_bins
 from sonarjax.match.ncc import correlation_maps, prepare_bank
-from sonarjax.recognize import MAP_REFINEMENT, refine_on_frame
+from sonarjax.recognize import refine_on_frame
+from sonarjax.refine import MAP_REFINEMENT
 from sonarjax.render.bank import bank_place
 from sonarjax.render.region import floor_point
 

@@ -272,7 +272,8 @@ def _recognize(args: argparse.Namespace) -> int:
     check_outputs({"--out": args.out}, (*args.frames, args.target, args.sonar))
     _start_jax()
     from sonarjax.cpu import CpuEngine
-    from sonarjax.recognize import MAP_REFINEMENT, Recognizer
+    from sonarjax.recognize import Recognizer
+    from sonarjax.refine import MAP_REFINEMENT
     from sonarjax.render import check_fits
     from sonarjax.scene import Mesh
     from sonarjax.segment import check_segmenter

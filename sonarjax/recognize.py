@@ -6,44 +6,37 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
 
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.match import Match, SearchConfig, TargetSearch, between_bins, peaks
+from sonarjax.match import SearchConfig, TargetSearch
 from sonarjax.refine import (
     ERROR_BAR,
-    Drawn,
+    MAP_REFINEMENT,
+    Candidate,
     Evidence,
     RefineConfig,
+    Start,
     YawEstimate,
-    gather_evidence,
+    curve_evidence,
+    is_kept,
+    locate,
+    on_frame,
+    peak_bins,
     plan_refinement,
     prepare_refinement,
-    refine_and_draw,
+    refine_start,
     refine_yaw,
 )
 from sonarjax.render import WindowSize
-from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS
 from sonarjax.scene import Mesh, Pose
 from sonarjax.segment import DEFAULT_SEGMENTER, Segmenter, load_segmenter
 from sonarjax.sonar import Sonar
 
-MAP_REFINEMENT = RefineConfig(
-    bounds=(math.radians(10.0), 0.06, 0.06), blurs=(2.0, 0.8), polish=0, margin=(MARGIN_BINS, MARGIN_BEAMS),
-    sharpness=0.0,
-)  # fmt: skip
-"""How a match is refined on the segmenter's map: bounds of a bin of yaw [rad] and some pixels of x and y [m].
-
-Refining starts at a match, so no blur has to widen the basin: a coarse one follows the uneven floor of a grey frame.
-What a threshold makes of speckle is no label image: a plain template (sharpness 0) does best for it."""
-FRAME_BLURS = (1.0, 0.5)
-"""Blurs [range bins] of the refinement on the frame itself, which goes on from the map's."""
-FRAME_ITERATIONS = 3
-"""Renders at each of these blurs, at most."""
 NEARER = 0.15
 """Share of the distances that are nearer than the one that the refinement's usual window is planned for."""
 SAME_YAW = math.radians(8.0)  # refined hypotheses closer than this are one
@@ -113,48 +106,6 @@ class Recognition:
     as `refine_yaw` gives it; None without refinement."""
 
 
-class Candidate(NamedTuple):
-    """A target's best match in a frame."""
-
-    search: TargetSearch
-    """The target."""
-    match: Match
-    """Its best bank."""
-    x: float
-    """Forward position at which it matched [m]."""
-    y: float
-    """Position to port [m]."""
-
-    @property
-    def score(self) -> float:
-        """Eq. 5's maximum over the bank."""
-        return float(self.match.scores.max())
-
-    @property
-    def yaws(self) -> np.ndarray:
-        """Absolute yaw (yaw,) of each bin [rad]: a bank's aspect is relative to the bearing it was rendered at."""
-        bank = self.match.bank
-        turned = math.atan2(self.y, self.x) - math.atan2(float(bank.y), float(bank.x))
-        return np.asarray(bank.yaws) + turned
-
-    def between_bins(self, k: int) -> Pose:
-        """The pose at bin `k`, its yaw moved to where a parabola through the neighbouring scores peaks."""
-        scores = self.match.scores
-        yaw = float(self.yaws[k]) + between_bins(scores, k) * (2 * math.pi / len(scores))
-        return Pose(x=self.x, y=self.y, yaw=yaw)
-
-
-class Start(NamedTuple):
-    """Where refinement starts."""
-
-    candidate: Candidate
-    """What was matched."""
-    bin: int
-    """The yaw bin."""
-    picture: np.ndarray
-    """The map or the frame (range, beam) that it was matched in."""
-
-
 class Recognizer:
     """Targets and a sonar, with all that is prepared for them: call it with frames."""
 
@@ -201,7 +152,7 @@ class Recognizer:
         least = self._threshold(threshold, given is not None)
         self._prepare()
         seen = self.segmenter.semantic(image, mask, self.engine) if given is None else given
-        found = [self._locate(search, seen, mask) for search in self.targets.values()]
+        found = [locate(search, seen, mask) for search in self.targets.values()]
         found.sort(key=lambda candidate: -candidate.score)
         best = found[0]
         in_frame = self._in_frame(best, image, mask) if given is None else None
@@ -261,21 +212,17 @@ class Recognizer:
             raise SonarjaxError(f"threshold: expected a number beside {what}, there is none for it")
         return float(own if threshold is None else threshold)  # type: ignore[arg-type]
 
-    def _locate(self, search: TargetSearch, seen: np.ndarray, mask: np.ndarray | None) -> Candidate:
-        match = search.find(np.asarray(seen, np.float32), mask)
-        return Candidate(search, match, *search.place(match))
-
     def _in_frame(self, best: Candidate, image: np.ndarray, mask: np.ndarray | None) -> Candidate | None:
         """The target's best match on the frame itself: where a segmenter fails, that one may be right."""
         if self.refine is None or self.segmenter.name == "none":
             return None
-        return self._locate(best.search, image, mask)
+        return locate(best.search, image, mask)
 
     def _hypotheses(
         self, best: Candidate, in_frame: Candidate | None, image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None
     ) -> tuple[tuple[Hypothesis, ...], float, float, dict[str, float] | None]:
         """Possible yaws, best first, the place (x, y) [m] of the best (a bin or refined), and what speaks for it."""
-        bins = _peak_bins(best.match.scores, best.yaws, self.search.hypotheses)
+        bins = peak_bins(best.match.scores, best.yaws, self.search.hypotheses)
         if self.refine is None:
             plain = [Hypothesis(_wrap(best.yaws[k]), float(best.match.scores[k]), None) for k in bins]
             return _distinct(plain), best.x, best.y, None
@@ -284,28 +231,18 @@ class Recognizer:
             starts.append(Start(in_frame, int(in_frame.match.scores.argmax()), image))
 
         def refined(start: Start) -> tuple[YawEstimate, Pose, Evidence]:
-            return self._refined(start, image, seen, mask)
+            assert self.refine is not None
+            return refine_start(start, image, seen, mask, self.refine, self._window(start.candidate), self.engine)
 
         # Each on its own: one that settles early waits for no other.
         parts = self.engine.map(refined, starts)
         estimate, pose, gathered = jax.tree.map(lambda *values: np.stack([np.asarray(v) for v in values]), *parts)
-        curves = _of_curves(best, in_frame)
+        curves = curve_evidence(best, in_frame)
         hypotheses = _refined(estimate, pose, ERROR_BAR.std(estimate.yaw_std, gathered.left_over, curves["frame_rise"]))
         order = int(np.argmax([one.score for one in hypotheses]))
         evidence = {name: float(values[order]) for name, values in vars(gathered).items()}
         evidence |= curves | {"curvature_std": float(estimate.yaw_std[order])}
         return _distinct(hypotheses), float(pose.x[order]), float(pose.y[order]), evidence
-
-    def _refined(
-        self, start: Start, image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None
-    ) -> tuple[YawEstimate, Pose, Evidence]:
-        """A start refined where it was found, then on the frame; with the pose that is kept, and what speaks for it."""
-        assert self.refine is not None
-        mesh, found = start.candidate.search.mesh, start.candidate.between_bins(start.bin)
-        how: dict[str, Any] = {"mask": mask, "window": self._window(start.candidate), "engine": self.engine}
-        first = _kept(refine_yaw(start.picture, mesh, self.sonar, found, config=self.refine, **how), found)
-        estimate, drawn = refine_and_draw(image, mesh, self.sonar, first, config=on_frame(self.refine), **how)
-        return estimate, _kept(estimate, first), _evidence(drawn, image, seen, mask, self.engine)
 
 
 def recognize(
@@ -344,12 +281,6 @@ def refine_on_frame(
     return refine_yaw(image, mesh, sonar, start, mask=mask, config=on_frame(config), window=window, engine=engine)
 
 
-def on_frame(config: RefineConfig) -> RefineConfig:
-    """The config of the refinement on the frame itself that follows one on the map."""
-    blurs, iterations = FRAME_BLURS[-len(config.blurs) :], min(FRAME_ITERATIONS, config.iterations)
-    return replace(config, blurs=blurs, iterations=iterations, template="either")
-
-
 def _named(targets: Mesh | Sequence[Mesh] | Mapping[str, Mesh]) -> dict[str, Mesh]:
     if isinstance(targets, Mesh):
         return {"target": targets}
@@ -368,42 +299,9 @@ def _widened(config: RefineConfig, yaw_bins: int) -> RefineConfig:
     return replace(config, bounds=(max(yaw, 2 * math.pi / yaw_bins), x, y))
 
 
-def _peak_bins(scores: np.ndarray, yaws: np.ndarray, count: int) -> list[int]:
-    """Bins of the highest peaks over yaw, best first; at least one."""
-    found = peaks(scores, yaws, max_peaks=count)
-    return [int(k) for k, valid in zip(np.asarray(found.yaw_bin), np.asarray(found.valid), strict=True) if valid]
-
-
-def _evidence(drawn: Drawn, image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None, engine: Engine) -> Evidence:
-    """What speaks for a template in its window of the frame."""
-    rows, columns = np.shape(drawn.template)
-    top, left = int(drawn.row), int(drawn.column)
-    whole = np.ones(image.shape, np.float32) if mask is None else mask.astype(np.float32)
-    parts = (v[top : top + rows, left : left + columns] for v in (image, np.asarray(seen, np.float32), whole))
-    return engine.run(gather_evidence, *parts, drawn.template, drawn.labels)
-
-
-def _of_curves(in_map: Candidate, in_frame: Candidate | None) -> dict[str, float]:
-    """What the scores over yaw tell, those of the map and those of the frame: their peak, and how far it stands out."""
-    curves = in_map.match.scores, (in_map if in_frame is None else in_frame).match.scores
-    rises = [float(ordered[-1] - ordered[-4]) for ordered in map(np.sort, curves)]
-    return {"map_rise": rises[0], "frame_rise": rises[1], "frame_peak": float(curves[1].max())}
-
-
-def _is_kept(estimate: YawEstimate) -> Any:
-    """True where refinement settled, or fits better than its start did."""
-    return np.asarray(estimate.converged) | np.asarray(estimate.score > estimate.start_score)
-
-
-def _kept(estimate: YawEstimate, start: Pose) -> Pose:
-    """The refined poses; the start where the refined one is not kept."""
-    pairs = ((estimate.x, start.x), (estimate.y, start.y), (estimate.yaw, start.yaw))
-    return Pose(*(np.where(_is_kept(estimate), np.asarray(new), np.asarray(old)) for new, old in pairs))
-
-
 def _refined(estimate: YawEstimate, pose: Pose, stds: np.ndarray) -> list[Hypothesis]:
     """A hypothesis for each of the `pose`s that were kept, with its error bar and the score that belongs to it."""
-    scores = np.where(_is_kept(estimate), np.asarray(estimate.score), np.asarray(estimate.start_score))
+    scores = np.where(is_kept(estimate), np.asarray(estimate.score), np.asarray(estimate.start_score))
     rows = zip(np.asarray(pose.yaw), scores, stds, np.asarray(estimate.converged), strict=True)
     return [Hypothesis(_wrap(yaw), float(score), float(std), bool(ok)) for yaw, score, std, ok in rows]
 

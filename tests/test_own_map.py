@@ -11,7 +11,7 @@ import pytest
 import sonarjax as sj
 from sonarjax.engine import PLAIN
 from sonarjax.io import SonarjaxError
-from sonarjax.recognize import MAP_REFINEMENT
+from sonarjax.refine import MAP_REFINEMENT
 from sonarjax.segment import EVIDENCE, IdentificationRule, Segmenter, load_segmenter
 
 # Few beams and a short window, so that few banks are rendered.

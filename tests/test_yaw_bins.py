@@ -9,7 +9,8 @@ import pytest
 
 import sonarjax as sj
 from sonarjax.match import SearchConfig, TargetSearch
-from sonarjax.recognize import MAP_REFINEMENT, Recognizer
+from sonarjax.recognize import Recognizer
+from sonarjax.refine import MAP_REFINEMENT
 
 # A short window, so that few banks are rendered.
 SONAR = """

@@ -10,7 +10,7 @@ import sonarjax as sj
 from experiments.common.engine import engine
 from experiments.common.frames import sonar_for
 from sonarjax.match import SearchConfig
-from sonarjax.recognize import MAP_REFINEMENT
+from sonarjax.refine import MAP_REFINEMENT
 
 
 def recognizers(

@@ -24,7 +24,8 @@ from experiments.common.segmenters import loaded
 from sonarjax.io import Frame, SonarjaxError, iter_frames
 from sonarjax.io.load import PARSERS
 from sonarjax.plot import MARK_COLOR
-from sonarjax.recognize import MAP_REFINEMENT, Hypothesis, Recognition, refine_on_frame
+from sonarjax.recognize import Hypothesis, Recognition, refine_on_frame
+from sonarjax.refine import MAP_REFINEMENT
 from sonarjax.sensor import SensorModel
 
 WAYS = ("recognize", "track map", "track frame")

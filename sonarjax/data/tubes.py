@@ -1,4 +1,4 @@
-"""Random tubes: solids of revolution (bottles, cans, cones), extruded outlines, lumps, bent pipes and tori, and chains."""
+"""Random tubes: solids of revolution (bottles, cans, cones), outlines, lumps, bent pipes and tori, and chains."""
 
 from __future__ import annotations
 

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 import sonarjax as sj
-from sonarjax.recognize import FRAME_BLURS, FRAME_ITERATIONS, MAP_REFINEMENT, refine_on_frame
+from sonarjax.recognize import refine_on_frame
+from sonarjax.refine import FRAME_BLURS, FRAME_ITERATIONS, MAP_REFINEMENT
 from sonarjax.refine.template import Subject, draw, layers_with_slope, nominal_law, paint_with_slope
 from sonarjax.render import RenderQuality, place_window, plan_window
 from sonarjax.sensor import SensorModel, observe_scene
