@@ -14,6 +14,7 @@ Conventions, everywhere in the package:
 - Random functions take a keyword-only `key`.
 """
 
+from sonarjax.calibrate import Calibration, calibrate
 from sonarjax.engine import Engine
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.match import SearchConfig, match_bank, match_positions
@@ -37,9 +38,9 @@ from sonarjax.sonar import FloorPatch, Sonar
 __version__ = "0.1.0"
 
 __all__ = [
-    "Engine", "FloorPatch", "GeneratorWeights", "Mesh", "Pose", "Recognition", "Recognizer", "RefineConfig",
-    "RenderQuality", "SearchConfig", "Segmenter", "SensorModel", "Sonar", "SonarFrame", "SonarjaxError",
-    "TemplateBank", "Window", "WindowSize", "YawEstimate", "load_segmenter", "match_bank", "match_positions",
-    "objects", "observe", "plan_refinement", "plan_window", "recognize", "refine_yaw", "render", "segment",
-    "stack_meshes", "template_bank",
+    "Calibration", "Engine", "FloorPatch", "GeneratorWeights", "Mesh", "Pose", "Recognition", "Recognizer",
+    "RefineConfig", "RenderQuality", "SearchConfig", "Segmenter", "SensorModel", "Sonar", "SonarFrame",
+    "SonarjaxError", "TemplateBank", "Window", "WindowSize", "YawEstimate", "calibrate", "load_segmenter",
+    "match_bank", "match_positions", "objects", "observe", "plan_refinement", "plan_window", "recognize",
+    "refine_yaw", "render", "segment", "stack_meshes", "template_bank",
 ]  # fmt: skip

@@ -30,6 +30,8 @@ class OutsideFrame:
     """True for the target, False for another object."""
     yaw: float
     """True yaw [rad]."""
+    true_sonar: sj.Sonar | None = None
+    """The true geometry, where it is known."""
 
 
 @dataclass(frozen=True)
@@ -60,8 +62,9 @@ def read_set(folder: Path) -> OutsideSet:
     def frame(line: dict[str, str]) -> OutsideFrame:
         group = Path(line["frame"]).parent.as_posix()
         image = np.asarray(read_frames(folder / line["frame"])[0].image, np.float32)
-        yaw = math.radians(float(line["yaw_deg"]))
-        return OutsideFrame(image, sonars[group], line["object"] == "target", yaw)
+        nominal, yaw = sonars[group], math.radians(float(line["yaw_deg"]))
+        true = nominal.replace(tilt=math.radians(float(line["tilt_deg"])), height=float(line["height_m"]))
+        return OutsideFrame(image, nominal, line["object"] == "target", yaw, true)
 
     return OutsideSet(folder.name, sj.Mesh.load(folder / "target.stl"), [frame(line) for line in lines])
 

@@ -1,0 +1,345 @@
+"""`calibrate`: the sonar's own geometry from frames of a known object (beyond the paper)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from sonarjax.calibrate.covariance import Certainty, certainty
+from sonarjax.calibrate.detect import Prepared, best_height, detect
+from sonarjax.calibrate.parameters import changed_sonar, check_free, prior_std
+from sonarjax.calibrate.picture import LEAST_EXPONENT, LOOK, Look, make_sampling
+from sonarjax.calibrate.solver import (
+    BOUNCE,
+    OWN,
+    Blocks,
+    Fit,
+    Observation,
+    Point,
+    Prior,
+    linearise,
+    make_prior,
+    solve_jointly,
+)
+from sonarjax.engine import PLAIN, Engine
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.match import SearchConfig
+from sonarjax.refine.template import POSE
+from sonarjax.render import WindowSize, plan_window
+from sonarjax.render.region import image_azimuth
+from sonarjax.scene import Mesh, Pose
+from sonarjax.segment import DEFAULT_SEGMENTER, Segmenter, load_segmenter
+from sonarjax.sensor import SensorModel
+from sonarjax.sonar import Sonar
+
+BLURS, ITERATIONS = (8.0, 2.0), (8, 14)
+"""Blurs [range bins] of the comparison, coarse to fine, and iterations at each, at most."""
+HEIGHT_STEP = 0.1
+"""A height known no better than this [m] is searched for in such steps, before anything is fitted."""
+SEARCHED = 6
+"""Frames that the search for the height looks at, at most."""
+LIKELY = 0.5
+"""Least probability of a frame that is fitted."""
+LEAST_SHARE, LEAST_FRAMES = 0.25, 3
+"""The likeliest share of the frames, and number of them, that are fitted in any case."""
+SLACK_M = 0.12
+"""Room beside the object in its window [m]."""
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What `calibrate` found."""
+
+    sonar: Sonar
+    """The nominal sonar with the numbers that the frames determine."""
+    sensor: SensorModel
+    """The nominal device with the object's gain, noise, display exponent, vertical pattern and gain slope found."""
+    poses: Pose
+    """The target's pose in each frame (frame,); of unused frames, the best guess."""
+    free: tuple[str, ...]
+    """Names of the free numbers."""
+    change: np.ndarray
+    """Their change from the nominal sonar (free,) [rad, m or 1, see `PARAMETERS`]; 0 where undetermined."""
+    covariance: np.ndarray
+    """Covariance of that change (free, free), given frames and prior."""
+    determined: dict[str, bool]
+    """Whether the frames say more about a number than its prior does: half its standard deviation or less."""
+    singular_values: np.ndarray
+    """Of the frames' information about the free numbers, in units of their priors (free,), largest first."""
+    weakest: dict[str, float]
+    """The combination of free numbers, each in units of its prior, that the frames tell least about."""
+    used: np.ndarray
+    """Which frames (frame,) were fitted; in the others the target was not found."""
+    probability: np.ndarray
+    """Of each frame (frame,), that it shows the target."""
+    residual: np.ndarray
+    """RMS of what the fit leaves of each frame (frame,), over what is usual in all; NaN where not used."""
+    converged: bool
+    """Whether the last step was small."""
+
+    @property
+    def std(self) -> dict[str, float]:
+        """Standard deviation of each free number [rad, m or 1]."""
+        return dict(zip(self.free, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+
+class _Job(NamedTuple):
+    """What does not change during a calibration."""
+
+    frames: list[Prepared]
+    mesh: Mesh
+    sonar: Sonar
+    free: tuple[str, ...]
+    std: np.ndarray
+    engine: Engine
+    progress: Callable[[str], None]
+
+
+def calibrate(
+    frames: Any,
+    mesh: Mesh,
+    sonar: Sonar,
+    *,
+    free: Sequence[str] = ("tilt", "height"),
+    poses: Pose | None = None,
+    prior: Mapping[str, float] | None = None,
+    masks: Any = None,
+    segmenter: str | Segmenter = DEFAULT_SEGMENTER,
+    search: SearchConfig = SearchConfig(),
+    engine: Engine = PLAIN,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Calibration:
+    """The `free` numbers of the sonar (see `PARAMETERS`), and the target's poses, from `frames` (frame, range, beam).
+
+    Minimises the robust squared difference between frames and what the sonar would store of the target on a lit floor
+    (see `picture`), jointly over the free numbers, the device's look and each frame's pose, by Levenberg–Marquardt with
+    the poses eliminated (Triggs et al., Bundle Adjustment, 2000). Assumes a flat floor, one standing sonar, and that
+    the target stands on the floor. Without `poses` (frame,) the target is searched for in each frame, and frames in
+    which it is not found are left out. `prior` gives standard deviations [rad, m or 1] of how well the nominal `sonar`
+    is known. What the frames do not determine keeps the nominal value, and is said to be undetermined.
+
+    `masks` (frame, range, beam) are true where pixels were measured; `progress` is told what is being done.
+
+    Raises SonarjaxError for no frames, shapes that do not fit the sonar, frames that are all alike, values that are not
+    finite, free numbers that do not exist, or a target that is in view in none of the frames.
+    """
+    names = check_free(free)
+    std = prior_std(names, prior, sonar)
+    images, measured = _checked(frames, masks, sonar)
+    if poses is not None and poses.shape != (len(images),):
+        raise SonarjaxError(f"poses: expected one for each of the {len(images)} frames, got shape {poses.shape}")
+    made = segmenter if isinstance(segmenter, Segmenter) else load_segmenter(segmenter)
+    progress("segmenting")
+    prepared = [
+        Prepared(image, mask, np.asarray(made.semantic(image, mask, engine)) if poses is None else image)
+        for image, mask in zip(images, measured, strict=True)
+    ]
+    job = _Job(prepared, mesh, sonar, names, std, engine, progress)
+    if poses is not None:
+        return _result(job, poses, np.ones(len(images)), np.ones(len(images), bool), None)
+    begin = _first_guess(job, search)
+    found, fit = None, None
+    for _ in range(2):  # the second time with a sonar that is nearly right
+        now = changed_sonar(sonar, names, jnp.asarray(begin)) if found is None else found.sonar
+        progress("looking for the target")
+        seen = detect(prepared, mesh, now, made, search, engine)
+        probability = np.array([one.probability for one in seen])
+        at = jax.tree.map(lambda *v: np.stack([np.asarray(x) for x in v]), *[one.pose for one in seen])
+        fit = begin if found is None else found.change
+        found = _result(job, at, probability, _likely(probability), fit, coarse=found is None)
+    assert found is not None
+    return found
+
+
+def _checked(frames: Any, masks: Any, sonar: Sonar) -> tuple[list[np.ndarray], list[np.ndarray | None]]:
+    images = [np.asarray(image, np.float32) for image in frames]
+    if not images:
+        raise SonarjaxError("frames: expected at least one frame")
+    measured = [None] * len(images) if masks is None else [np.asarray(mask, bool) for mask in masks]
+    if len(measured) != len(images):
+        raise SonarjaxError(f"masks: expected one for each of the {len(images)} frames, got {len(measured)}")
+    for number, (image, mask) in enumerate(zip(images, measured, strict=True)):
+        for name, shape in (("frames", image.shape), ("masks", sonar.shape if mask is None else mask.shape)):
+            if shape != sonar.shape:
+                raise SonarjaxError(
+                    f"{name}[{number}]: expected shape {sonar.shape} (range, beam) of the sonar, got {shape}"
+                )
+        if not np.isfinite(image if mask is None else image[mask]).all():
+            raise SonarjaxError(f"frames[{number}]: holds NaN or infinite values")
+    if len(images) > 1 and all(np.array_equal(image, images[0]) for image in images):
+        raise SonarjaxError(f"frames: all {len(images)} are the same picture, expected different ones")
+    filled = [i if m is None else np.where(m, i, 0.0) for i, m in zip(images, measured, strict=True)]
+    return [i.astype(np.float32) for i in filled], measured
+
+
+def _first_guess(job: _Job, search: SearchConfig) -> np.ndarray:
+    """Changes (free,) to start from: the height is searched for where it is known badly."""
+    change = np.zeros(len(job.free))
+    known = dict(zip(job.free, job.std, strict=True))
+    if known.get("height", 0.0) <= HEIGHT_STEP:
+        return change
+    job.progress("looking for the height")
+    steps = np.arange(
+        -math.ceil(1.5 * known["height"] / HEIGHT_STEP), math.ceil(1.5 * known["height"] / HEIGHT_STEP) + 1
+    )
+    nominal = float(job.sonar.height)
+    heights = nominal + HEIGHT_STEP * steps
+    heights = heights[heights > HEIGHT_STEP]
+    some = [job.frames[k] for k in np.unique(np.linspace(0, len(job.frames) - 1, SEARCHED).astype(int))]
+    change[job.free.index("height")] = best_height(some, job.mesh, job.sonar, heights, search, job.engine) - nominal
+    return change
+
+
+def _likely(probability: np.ndarray) -> np.ndarray:
+    """Which frames (frame,) are fitted."""
+    least = max(LEAST_FRAMES, math.ceil(LEAST_SHARE * len(probability)))
+    return (probability >= LIKELY) | (np.argsort(np.argsort(-probability)) < least)
+
+
+def _result(
+    job: _Job, poses: Pose, probability: np.ndarray, used: np.ndarray, begin: np.ndarray | None, coarse: bool = True
+) -> Calibration:
+    """The calibration from the `used` frames (frame,), their poses and the free numbers' first changes (free,)."""
+    which = np.flatnonzero(used)
+    starts = [jax.tree.map(lambda v, k=k: np.float32(np.asarray(v)[k]), poses) for k in which]
+    change = np.zeros(len(job.free)) if begin is None else begin
+    size = _window(job, starts, change)
+    observations = [_observation(job, int(k), start, size, change) for k, start in zip(which, starts, strict=True)]
+    fit = _fitted(job, observations, size, change, (), coarse)
+    known = certainty(fit.information, fit.scores, job.std, job.free)
+    loose = tuple(name for name, told in known.determined.items() if not told)
+    if loose:
+        reset = np.where([name in loose for name in job.free], 0.0, fit.point.shared[: len(job.free)])
+        fit = _fitted(job, observations, size, reset, loose, coarse)
+    return _as_calibration(job, fit, known, poses, probability, used)
+
+
+def _window(job: _Job, starts: Sequence[Pose], change: np.ndarray) -> WindowSize:
+    """One window for all frames: all ranges, and the beams that the target may touch."""
+    sonar = changed_sonar(job.sonar, job.free, jnp.asarray(change))
+    nearest = min(float(np.hypot(start.x, start.y)) for start in starts)
+    planned = plan_window(job.mesh, sonar, nearest, SLACK_M)
+    return WindowSize((job.sonar.n_ranges, planned.shape[1]), planned.object_columns)
+
+
+def _observation(job: _Job, number: int, start: Pose, size: WindowSize, change: np.ndarray) -> Observation:
+    frame = job.frames[number]
+    sonar = changed_sonar(job.sonar, job.free, jnp.asarray(change))
+    bearing = float(image_azimuth(start.x, start.y, sonar))
+    column = int(np.searchsorted(np.asarray(sonar.azimuth), bearing)) - size.shape[1] // 2
+    mask = np.ones(job.sonar.shape, np.float32) if frame.mask is None else frame.mask.astype(np.float32)
+    return Observation(frame.image, mask, start, np.int32(np.clip(column, 0, job.sonar.n_beams - size.shape[1])))
+
+
+def _fitted(
+    job: _Job, observations: Sequence[Observation], size: WindowSize, change: np.ndarray, fixed: tuple[str, ...],
+    coarse: bool,
+) -> Fit:  # fmt: skip
+    """The joint fit from `change` (free,), coarse to fine or fine at once; `fixed` numbers keep theirs."""
+    point = Point(np.concatenate([change, LOOK]), np.tile(np.eye(OWN)[POSE] * BOUNCE, (len(observations), 1)))
+    prior = make_prior(job.free, job.std, fixed)
+    reference = np.float32((float(job.sonar.range_min) + float(job.sonar.range_max)) / 2)
+    for blur, iterations in list(zip(BLURS, ITERATIONS, strict=True))[0 if coarse else 1 :]:
+        sampling = make_sampling(job.sonar.shape, blur)
+        spread = _row_spread(observations, sampling)
+        for last in (False, True):
+
+            def evaluate(
+                at: Point, count: int = len(observations), spread: np.ndarray = spread, sampling: Any = sampling
+            ) -> list[Blocks]:
+                shared = at.shared.astype(np.float32)
+
+                def one(k: int) -> Blocks:
+                    own = at.own[k].astype(np.float32)
+                    args = observations[k], job.mesh, job.sonar, shared, own, sampling, spread, reference
+                    return Blocks(*jax.device_get(job.engine.run(linearise, *args, free=job.free, size=size)))
+
+                return job.engine.map(one, range(count))
+
+            if coarse and blur == BLURS[0] and not last:
+                point = _best_tilt(job, evaluate, point, prior)
+            most = iterations if last else iterations // 2
+            tell = lambda cost, blur=blur: job.progress(f"fitting, blur {blur:g} bins: cost {cost:.0f}")  # noqa: E731
+            fit = solve_jointly(evaluate, point, prior, iterations=most, progress=tell)
+            point, spread = fit.point, _smooth(fit.spread)
+    return fit
+
+
+def _best_tilt(job: _Job, evaluate: Callable[[Point, int], list[Blocks]], point: Point, prior: Prior) -> Point:
+    """The point with the tilt, of a few across its prior, from which a few frames are explained best.
+
+    The lit floor's edge may be far from where the nominal tilt has it: from there a search may not find it.
+    """
+    if "tilt" not in job.free or prior.fixed[job.free.index("tilt")]:
+        return point
+    some, by_tilt = min(TILT_FRAMES, len(point.own)), np.eye(len(point.shared))[job.free.index("tilt")]
+    tried = []
+    for away in TILTS:
+        job.progress(f"trying a tilt {away:+g} standard deviations off")
+        begin = Point(point.shared + by_tilt * prior.std * away, point.own[:some])
+        tried.append(solve_jointly(lambda at: evaluate(at, some), begin, prior, iterations=TILT_ITERATIONS))
+    best = min(tried, key=lambda fit: fit.costs.sum())
+    return Point(best.point.shared, point.own)
+
+
+TILTS = (0.0, -1.2, -0.6, 0.6, 1.2)
+"""Tilts that are tried first, in units of the prior's standard deviation."""
+TILT_FRAMES, TILT_ITERATIONS = 3, 6
+"""With how many frames, and iterations, at most."""
+
+
+def _row_spread(observations: Sequence[Observation], sampling: Any) -> np.ndarray:
+    """A first guess of the residuals' standard deviation (row,): how much neighbouring beams differ."""
+    sampled = [np.asarray(sampling(seen.image)) for seen in observations]
+    return _smooth(np.median([np.diff(s, axis=1).std(axis=1) for s in sampled], axis=0))
+
+
+def _smooth(spread: np.ndarray) -> np.ndarray:
+    """Standard deviations (row,) averaged over neighbouring rows; none is far below what is usual."""
+    width = 9
+    padded = np.pad(spread.astype(np.float64), width // 2, mode="edge")
+    mean = np.convolve(padded, np.ones(width) / width, mode="valid")
+    return np.maximum(mean, 0.3 * np.median(mean) + 1e-4).astype(np.float32)
+
+
+def _as_calibration(
+    job: _Job, fit: Fit, known: Certainty, poses: Pose, probability: np.ndarray, used: np.ndarray
+) -> Calibration:
+    count = len(job.free)
+    change, look = fit.point.shared[:count], Look(*fit.point.shared[count:])
+    x, y, yaw = (np.array(np.asarray(v), np.float64) for v in (poses.x, poses.y, poses.yaw))
+    for values, column in ((yaw, 0), (x, 1), (y, 2)):
+        values[used] += fit.point.own[:, column]
+    residual = np.full(len(used), np.nan)
+    residual[used] = np.sqrt(fit.costs / np.median(fit.costs))
+    sonar = changed_sonar(job.sonar, job.free, jnp.asarray(change, jnp.float32))
+    numbers = {f: float(getattr(sonar, f)) for f in FIELDS if np.ndim(getattr(sonar, f)) == 0}
+    return Calibration(
+        sonar=sonar.replace(**numbers),
+        sensor=SensorModel(
+            object_gain=10 * look.gain / math.log(10.0), noise=math.exp(look.noise), log_share=0.0,
+            exponent=math.exp(look.exponent) + LEAST_EXPONENT, elevation_skirt=look.skirt,
+            tvg_exponent=look.noise_slope, pulse_bins=look.pulse, beam_widening=look.widening,
+        ),
+        poses=Pose(x=x, y=y, yaw=np.mod(yaw, 2 * math.pi)),
+        free=job.free,
+        change=change,
+        covariance=known.covariance,
+        determined=known.determined,
+        singular_values=known.singular_values,
+        weakest=known.weakest,
+        used=used,
+        probability=probability,
+        residual=residual,
+        converged=fit.converged,
+    )  # fmt: skip
+
+
+FIELDS = ("tilt", "roll", "height", "elevation_aperture", "range_min", "range_max")
+"""Fields of the sonar that a calibration may change to one number."""

@@ -1,0 +1,89 @@
+"""Where the target is in each frame, and whether it is there at all, with the sonar as it is known so far."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from sonarjax.engine import Engine
+from sonarjax.match import SearchConfig, TargetSearch
+from sonarjax.refine import (
+    MAP_REFINEMENT,
+    Start,
+    curve_evidence,
+    is_kept,
+    locate,
+    peak_bins,
+    plan_refinement,
+    refine_start,
+)
+from sonarjax.render import WindowSize
+from sonarjax.scene import Mesh, Pose
+from sonarjax.segment import Segmenter
+from sonarjax.sonar import Sonar
+
+
+class Prepared(NamedTuple):
+    """A frame and the segmenter's map of it."""
+
+    image: np.ndarray
+    """The frame (range, beam)."""
+    mask: np.ndarray | None
+    """True (range, beam) where it was measured."""
+    seen: np.ndarray
+    """Semantic map (range, beam)."""
+
+
+class Detection(NamedTuple):
+    """The target's best pose in a frame."""
+
+    pose: Pose
+    """The refined pose."""
+    probability: float
+    """That the target is what is shown, by the segmenter's rule; eq. 5's score where it has none."""
+
+
+def detect(
+    frames: Sequence[Prepared], mesh: Mesh, sonar: Sonar, segmenter: Segmenter, search: SearchConfig, engine: Engine
+) -> list[Detection]:
+    """The target in each frame. Raises SonarjaxError as `TargetSearch` does."""
+    banks = TargetSearch(mesh, sonar, search, engine=engine)
+    nearest = float(banks.distances[0])
+    window = plan_refinement(mesh, sonar, Pose(x=nearest), MAP_REFINEMENT)
+    return [_detect(frame, banks, segmenter, window, engine) for frame in frames]
+
+
+def _detect(
+    frame: Prepared, banks: TargetSearch, segmenter: Segmenter, window: WindowSize, engine: Engine
+) -> Detection:
+    in_map, in_frame = locate(banks, frame.seen, frame.mask), locate(banks, frame.image, frame.mask)
+    bins = peak_bins(in_map.match.scores, in_map.yaws, banks.config.hypotheses)
+    starts = [Start(in_map, k, frame.seen) for k in bins]
+    starts.append(Start(in_frame, int(in_frame.match.scores.argmax()), frame.image))
+    found = engine.map(
+        lambda start: refine_start(start, frame.image, frame.seen, frame.mask, MAP_REFINEMENT, window, engine), starts
+    )
+    scores = [float(np.where(is_kept(e), e.score, e.start_score)) for e, _, _ in found]
+    _, pose, gathered = found[int(np.argmax(scores))]
+    evidence = {name: float(value) for name, value in vars(gathered).items()} | curve_evidence(in_map, in_frame)
+    rule = segmenter.rule
+    return Detection(pose, in_map.score if rule is None else rule.probability(evidence))
+
+
+def best_height(
+    frames: Sequence[Prepared], mesh: Mesh, sonar: Sonar, heights: np.ndarray, search: SearchConfig, engine: Engine
+) -> float:
+    """The height [m] of `heights` (height,) with which the target's templates match the frames' maps best.
+
+    A frame counts by its best score over all heights, so that frames without the target count little.
+    """
+    scores = np.full((len(heights), len(frames)), -math.inf)
+    for row, height in enumerate(heights):
+        banks = TargetSearch(mesh, sonar.replace(height=float(height)), search, engine=engine)
+        scores[row] = [locate(banks, frame.seen, frame.mask).score for frame in frames]
+    best = scores.max(axis=0)
+    chosen = best >= np.median(best)
+    return float(heights[scores[:, chosen].mean(axis=1).argmax()])

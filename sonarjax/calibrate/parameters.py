@@ -1,0 +1,84 @@
+"""The numbers of a sonar that can be free in a calibration: what each means, its unit, its usual prior."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.sonar import Sonar
+
+
+class Parameter(NamedTuple):
+    """One free number, as its difference from the nominal sonar's."""
+
+    std: float
+    """Standard deviation of the usual prior [unit]."""
+    trust: float
+    """Largest step of one iteration [unit]."""
+    unit: str
+    """rad, m, or 1 for a share."""
+
+
+PARAMETERS: dict[str, Parameter] = {
+    "tilt": Parameter(math.radians(5.0), math.radians(1.5), "rad"),
+    "roll": Parameter(math.radians(3.0), math.radians(1.0), "rad"),
+    "height": Parameter(0.3, 0.04, "m"),
+    "elevation_aperture": Parameter(math.radians(2.0), math.radians(1.0), "rad"),
+    "range_offset": Parameter(0.05, 0.01, "m"),
+    "range_scale": Parameter(0.02, 0.004, "1"),
+    "azimuth_scale": Parameter(0.03, 0.01, "1"),
+    "beam_bend": Parameter(0.05, 0.02, "1"),
+}
+"""What may be free: `range_scale` stretches all ranges, as a wrong sound speed does, `azimuth_scale` all beam angles;
+`beam_bend` b moves a beam at the share u of the half field of view by b·(u − u³) of it."""
+
+
+def check_free(free: Sequence[str]) -> tuple[str, ...]:
+    """The names, in the order of `PARAMETERS`. Raises SonarjaxError for none, an unknown name, or one given twice."""
+    names = [free] if isinstance(free, str) else list(free)
+    unknown = [name for name in names if name not in PARAMETERS]
+    if unknown or not names or len(set(names)) < len(names):
+        what = f"unknown {unknown[0]!r}" if unknown else f"got {names}"
+        raise SonarjaxError(f"free: expected different names of: {', '.join(PARAMETERS)}; {what}")
+    return tuple(name for name in PARAMETERS if name in names)
+
+
+def prior_std(free: Sequence[str], prior: Mapping[str, float] | None, sonar: Sonar) -> Float[np.ndarray, "free"]:
+    """Prior standard deviations (free,): from `prior`, else the sonar's `geometry_std`, else the usual ones.
+
+    Raises SonarjaxError for a name that is not free, or a value that is not positive.
+    """
+    given = dict(prior or {})
+    for name, value in given.items():
+        if name not in free:
+            raise SonarjaxError(f"prior: {name!r} is not among the free numbers {', '.join(free)}")
+        if not (math.isfinite(value) and value > 0):
+            raise SonarjaxError(f"prior: {name}: expected a positive standard deviation, got {value}")
+    known = {name: PARAMETERS[name].std for name in free} | given
+    return np.array([known[name] for name in free], float)
+
+
+def changed_sonar(sonar: Sonar, free: Sequence[str], change: Float[Array, "free"]) -> Sonar:
+    """The sonar with each of the `free` numbers changed by `change` (free,); differentiable."""
+    by = {name: change[k] for k, name in enumerate(free)}
+    fields = {
+        name: jnp.asarray(getattr(sonar, name), jnp.float32) + by[name]
+        for name in ("tilt", "roll", "height", "elevation_aperture")
+        if name in by
+    }
+    stretch, shift = 1 + by.get("range_scale", 0.0), by.get("range_offset", 0.0)
+    if "range_scale" in by or "range_offset" in by:
+        fields |= {name: getattr(sonar, name) * stretch + shift for name in ("range_min", "range_max")}
+    if "azimuth_scale" in by or "beam_bend" in by:
+        azimuth = jnp.asarray(sonar.azimuth)
+        half = jnp.abs(azimuth).max()
+        share = azimuth / half
+        bent = azimuth + by.get("beam_bend", 0.0) * half * (share - share**3)
+        fields["azimuth"] = bent * (1 + by.get("azimuth_scale", 0.0))
+    return sonar.replace(**fields)

@@ -1,0 +1,245 @@
+"""Joint least squares over what all frames share and each frame's own pose: Levenberg–Marquardt by block elimination.
+
+A frame's pose touches its own residuals alone, so the poses are eliminated frame by frame (the Schur complement; Triggs
+et al., Bundle Adjustment, 2000, sec. 6): the cost is linear in the number of frames.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from sonarjax.calibrate.parameters import PARAMETERS, changed_sonar
+from sonarjax.calibrate.picture import LOOK, LOOK_STD, LOOK_TRUST, Look, Sampling, fitted, object_layers, picture
+from sonarjax.records import record
+from sonarjax.refine.template import POSE
+from sonarjax.render import WindowSize
+from sonarjax.scene import Mesh, Pose
+from sonarjax.sonar import Sonar
+
+OWN = POSE + 1
+"""Numbers of a frame's own: yaw [rad], x, y [m] and the energy that a bounce on the floor leaves [1]."""
+BOUNCE, BOUNCE_STD = 0.2, 0.2
+"""Prior of that energy [1]."""
+TRUST_OWN = (0.12, 0.03, 0.03, 0.2)
+"""Largest step of a frame's own numbers in one iteration."""
+HUBER = 2.0
+"""Standard deviations beyond which a residual counts linearly."""
+SETTLED = 0.02
+"""Shared numbers whose next step is below this share of their trust have settled."""
+LEAST_GAIN = 1e-4
+"""A step that lowers the cost by a smaller share is the last."""
+LOOKS = len(LOOK)
+MOST_DAMPING = 1e3
+"""Damping at which no step is to be had."""
+
+
+@record
+class Observation:
+    """A frame as it is compared."""
+
+    image: Float[Array, "range beam"]
+    """The frame, any grey scale; 0 where nothing was measured."""
+    mask: Float[Array, "range beam"]
+    """1 where a pixel was measured, else 0."""
+    start: Pose
+    """Where its pose starts."""
+    column: Any
+    """First beam of the window in which the object is drawn."""
+
+
+class Blocks(NamedTuple):
+    """A frame's part of the normal equations, its own numbers first, then the sonar's and the look's."""
+
+    hessian: Float[Array, "number number"]
+    """Jᵀ·W·J."""
+    gradient: Float[Array, "number"]
+    """Jᵀ·W·residual."""
+    cost: Float[Array, ""]
+    """Half of the robust sum of squares."""
+    square: Float[Array, "row"]
+    """Mean square of the residuals of each row [grey²]."""
+
+
+class Point(NamedTuple):
+    """A guess of everything."""
+
+    shared: np.ndarray
+    """Changes of the free numbers, then the look (shared,)."""
+    own: np.ndarray
+    """Steps from the starts (frame, 4)."""
+
+
+class Prior(NamedTuple):
+    """What is known of the shared numbers beforehand."""
+
+    mean: np.ndarray
+    """(shared,): 0 for the changes of the sonar."""
+    std: np.ndarray
+    """Standard deviations (shared,)."""
+    trust: np.ndarray
+    """Largest step (shared,) of one iteration."""
+    fixed: np.ndarray
+    """Which numbers (shared,) stay as they are."""
+
+
+def make_prior(free: Sequence[str], std: np.ndarray, fixed: Sequence[str] = ()) -> Prior:
+    """The prior of the `free` numbers with standard deviations `std` (free,), and of the look."""
+    return Prior(
+        mean=np.concatenate([np.zeros(len(free)), LOOK]),
+        std=np.concatenate([std, LOOK_STD]),
+        trust=np.concatenate([[PARAMETERS[name].trust for name in free], LOOK_TRUST]),
+        fixed=np.array([name in fixed for name in free] + [False] * LOOKS),
+    )
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Where a joint search ended."""
+
+    point: Point
+    """The best guess."""
+    information: np.ndarray
+    """The data's information about the shared numbers, the poses eliminated (shared, shared)."""
+    scores: np.ndarray
+    """Each frame's derivative of the cost by the shared numbers, its own eliminated (frame, shared)."""
+    spread: np.ndarray
+    """Standard deviation of the residuals of each row [grey]."""
+    costs: np.ndarray
+    """Each frame's cost (frame,)."""
+    converged: bool
+    """Whether the last step was small."""
+
+
+@partial(jax.jit, static_argnames=("free", "size"))
+def linearise(
+    seen: Observation, mesh: Mesh, sonar: Sonar, shared: Array, own: Array, sampling: Sampling, std: Array,
+    reference: Array, *, free: tuple[str, ...], size: WindowSize,
+) -> tuple[Array, ...]:  # fmt: skip
+    """The fields of a frame's `Blocks` at `shared` (free + look,) and `own` (4,); residuals have `std` (row,) [grey]."""
+    count = len(free)
+
+    def layers_at(geometry: Array) -> Array:
+        changed = changed_sonar(sonar, free, geometry[POSE:])
+        return object_layers(mesh, changed, seen.start, geometry[:POSE], seen.column, size)
+
+    geometry = jnp.concatenate([own[:POSE], shared[:count]])
+    layers, slopes = jax.vmap(lambda t: jax.jvp(layers_at, (geometry,), (t,)), out_axes=(None, 0))(
+        jnp.eye(len(geometry))
+    )
+    weight = sampling(seen.mask) / std[:, None] ** 2
+    image = sampling(seen.image * seen.mask)
+
+    def residual(layers: Array, change: Array, look: Array, bounce: Array) -> Array:
+        drawn = picture(changed_sonar(sonar, free, change), Look(*look), layers, bounce, seen.column, reference)
+        return fitted(sampling(drawn * seen.mask), image, weight) - image
+
+    at = layers, shared[:count], shared[count:], own[POSE]
+    names = OWN + count + LOOKS
+    by_own = jnp.eye(names)
+    tangents = (
+        jnp.zeros((names, *layers.shape)).at[:POSE].set(slopes[:POSE]).at[OWN : OWN + count].set(slopes[POSE:]),
+        by_own[:, OWN : OWN + count], by_own[:, OWN + count :], by_own[:, POSE],
+    )  # fmt: skip
+    found, jacobian = jax.vmap(lambda *t: jax.jvp(residual, at, t), out_axes=(None, 0))(*tangents)
+    scaled = jnp.abs(found) * jnp.sqrt(weight)
+    robust = jnp.where(scaled > HUBER, HUBER / jnp.maximum(scaled, 1e-6), 1.0)
+    loss = jnp.where(scaled > HUBER, HUBER * (scaled - HUBER / 2), scaled**2 / 2)
+    weighted = jacobian * (robust * weight)
+    hessian = jnp.einsum("irb,jrb->ij", weighted, jacobian)
+    # A plain tuple: the CPU's engine keeps compiled code in files, and knows no type of ours.
+    return hessian, jnp.einsum("irb,rb->i", weighted, found), loss.sum(), (robust * found**2).mean(axis=1)
+
+
+class _Assembled(NamedTuple):
+    """All frames' blocks at one point."""
+
+    own: np.ndarray  # (frame, 4, 4), with the bounce's prior
+    across: np.ndarray  # (frame, 4, shared)
+    own_gradient: np.ndarray  # (frame, 4)
+    shared: np.ndarray  # (shared, shared), the data's alone
+    shared_gradient: np.ndarray  # (frame, shared), the data's alone
+    prior_gradient: np.ndarray  # (shared,)
+    tight: np.ndarray  # (shared,) inverse variances of the prior
+    costs: np.ndarray  # (frame,)
+    cost: float  # with the priors
+    square: np.ndarray  # (row,)
+
+
+def solve_jointly(
+    evaluate: Callable[[Point], Sequence[Blocks]], begin: Point, prior: Prior, *, iterations: int,
+    progress: Callable[[float], None] = lambda cost: None,
+) -> Fit:  # fmt: skip
+    """Minimise the frames' costs and the priors from `begin`; `evaluate` gives each frame's `Blocks` at a point."""
+    point, damping, settled = begin, 1e-3, False
+    best = _assembled(evaluate(begin), begin, prior)
+    for _ in range(iterations):
+        shared, own = _step(best, prior, damping)
+        moved = np.abs(shared / prior.trust).max(initial=0.0)
+        shared, own = np.clip(shared, -prior.trust, prior.trust), np.clip(own, -_TRUST, _TRUST)
+        target = Point(point.shared + shared, _bounded(point.own + own))
+        found = _assembled(evaluate(target), target, prior)
+        progress(found.cost)
+        if found.cost < best.cost:
+            gained, point, best, damping = best.cost - found.cost, target, found, max(damping / 5, 1e-6)
+            settled = moved < SETTLED or gained < LEAST_GAIN * found.cost
+        else:
+            damping *= 10
+            settled = damping > MOST_DAMPING
+        if settled:
+            break
+    information, scores = _eliminated(best)
+    return Fit(point, information, scores, np.sqrt(best.square), best.costs, settled)
+
+
+_TRUST = np.array(TRUST_OWN)
+
+
+def _assembled(parts: Sequence[Blocks], point: Point, prior: Prior) -> _Assembled:
+    hessian, gradient, costs, square = (np.stack([np.asarray(v, float) for v in vs]) for vs in zip(*parts, strict=True))
+    hessian[:, POSE, POSE] += 1 / BOUNCE_STD**2
+    off = point.own[:, POSE] - BOUNCE
+    gradient[:, POSE] += off / BOUNCE_STD**2
+    tight = 1 / prior.std**2
+    away = point.shared - prior.mean
+    cost = costs.sum() + (off**2).sum() / BOUNCE_STD**2 / 2 + (tight * away**2).sum() / 2
+    return _Assembled(
+        own=hessian[:, :OWN, :OWN], across=hessian[:, :OWN, OWN:], own_gradient=gradient[:, :OWN],
+        shared=hessian[:, OWN:, OWN:].sum(0), shared_gradient=gradient[:, OWN:], prior_gradient=tight * away,
+        tight=tight, costs=costs, cost=float(cost) if np.isfinite(cost) else np.inf, square=square.mean(0),
+    )  # fmt: skip
+
+
+def _eliminated(at: _Assembled, damping: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """The shared numbers' information (shared, shared) and each frame's gradient (frame, shared), without the poses."""
+    inverse = np.linalg.inv(_damped(at.own, damping))
+    information = at.shared - np.einsum("fps,fpq,fqt->st", at.across, inverse, at.across)
+    return information, at.shared_gradient - np.einsum("fps,fpq,fq->fs", at.across, inverse, at.own_gradient)
+
+
+def _damped(blocks: np.ndarray, damping: float) -> np.ndarray:
+    diagonal = np.einsum("...ii->...i", blocks)
+    return blocks + (damping * diagonal + 1e-9)[..., None] * np.eye(blocks.shape[-1])
+
+
+def _step(at: _Assembled, prior: Prior, damping: float) -> tuple[np.ndarray, np.ndarray]:
+    """The Levenberg–Marquardt step of the shared (shared,) and of each frame's own numbers (frame, 4)."""
+    information, gradients = _eliminated(at, damping)
+    free = ~prior.fixed
+    whole = _damped(information + np.diag(at.tight), damping)[np.ix_(free, free)]
+    shared = np.zeros(len(free))
+    shared[free] = -np.linalg.solve(whole, (gradients.sum(0) + at.prior_gradient)[free])
+    rest = at.own_gradient + np.einsum("fps,s->fp", at.across, shared)
+    return shared, -np.einsum("fpq,fq->fp", np.linalg.inv(_damped(at.own, damping)), rest)
+
+
+def _bounded(own: np.ndarray) -> np.ndarray:
+    """The frames' own numbers with a bounce that leaves no negative energy, and no more than there was."""
+    return np.concatenate([own[:, :POSE], np.clip(own[:, POSE:], 0.0, 1.0)], axis=1)
