@@ -1,4 +1,4 @@
-"""The command `sonarjax`: render, segment, recognize, train, info, convert. Takes arguments, returns an exit code.
+"""The command `sonarjax`: render, segment, recognize, calibrate, train, info, convert; returns an exit code.
 
 Exit codes: 0 done, identified or not; 1 a frame could not be read (the batch goes on); 2 arguments, mesh, TOML or
 output that cannot be used; 130 interrupted. A wrong input gives one line on stderr. What only one command needs, such
@@ -9,7 +9,6 @@ radians.
 from __future__ import annotations
 
 import argparse
-import contextlib
 import math
 import os
 import re
@@ -19,7 +18,7 @@ from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import Any, NoReturn
 
-from sonarjax.io import FAN_OPTIONS
+from sonarjax.io import FAN_OPTIONS, complain, say, silence_stdout
 from sonarjax.segment import DEFAULT_SEGMENTER, SEGMENTERS
 
 MAX_SUB_BEAMS = 64
@@ -43,15 +42,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         return args.run(args)
     except SonarjaxError as error:
-        _complain(str(error))
+        complain(str(error))
     except KeyboardInterrupt:
-        _complain("interrupted", "")
+        complain("interrupted", "")
         return 130
     except BrokenPipeError:  # whoever read our output has gone
-        _silence_stdout()
+        silence_stdout()
         return 141
     except (MemoryError, OSError, RuntimeError) as error:  # JAX reports a full memory or a missing device so
-        _complain(f"{args.command}: {type(error).__name__}: {error}")
+        complain(f"{args.command}: {type(error).__name__}: {error}")
     return 2
 
 
@@ -63,14 +62,14 @@ class _Parser(argparse.ArgumentParser):
         self._negative_number_matcher = re.compile(r"-\.?\d")
 
     def error(self, message: str) -> NoReturn:
-        _complain(f"{self.prog.removeprefix('sonarjax').strip()}: {message} (see {self.prog} --help)".lstrip(": "))
+        complain(f"{self.prog.removeprefix('sonarjax').strip()}: {message} (see {self.prog} --help)".lstrip(": "))
         raise SystemExit(2)
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="sonarjax", description="Imaging-sonar simulation and recognition of objects with their yaw.")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for add in (_add_render, _add_segment, _add_recognize, _add_train, _add_info, _add_convert):
+    for add in (_add_render, _add_segment, _add_recognize, _add_calibrate, _add_train, _add_info, _add_convert):
         add(commands)
     return parser
 
@@ -131,6 +130,22 @@ def _add_recognize(commands: Any) -> None:
     command.add_argument(
         "--threshold", metavar="T", type=_correlation, help="score from which on it is the target (default: shipped)"
     )
+    _add_unit(command)
+
+
+def _add_calibrate(commands: Any) -> None:
+    command = commands.add_parser("calibrate", help="the sonar's geometry from frames of a known object", epilog=_EXITS)
+    command.set_defaults(run=_calibrate)
+    command.add_argument("frames", metavar="FRAME", nargs="+", help=_FRAME_HELP)
+    command.add_argument("--target", metavar="MESH", required=True, help="the object in the frames, at unknown poses")
+    command.add_argument("--sonar", metavar="S.toml", required=True, help="the sonar as it is known so far")
+    command.add_argument("--out", metavar="FITTED.toml", required=True, help="written: the fitted sonar")
+    command.add_argument(
+        "--free", metavar="NAMES", default="tilt,height", type=lambda text: tuple(text.split(",")),
+        help="what is unknown, of tilt, roll, height, elevation_aperture, range_offset, range_scale, azimuth_scale, "
+        "beam_bend (default: %(default)s)",
+    )  # fmt: skip
+    command.add_argument("--png", metavar="P", help="a picture for people: frames, and what the fit makes of them")
     _add_unit(command)
 
 
@@ -200,7 +215,7 @@ def _render(args: argparse.Namespace) -> int:
 
     check_outputs({"--out": args.out, "--png": args.png}, (args.mesh, args.sonar))
     _start_jax()
-    from sonarjax.render import RenderQuality, check_fits, render
+    from sonarjax.render import RenderQuality, check_fits, render, write_frame
     from sonarjax.scene import Mesh, Pose
     from sonarjax.sonar import Sonar
 
@@ -208,32 +223,14 @@ def _render(args: argparse.Namespace) -> int:
     check_fits(mesh, sonar, args.mesh)
     quality = RenderQuality() if args.sub_beams is None else RenderQuality(sub_beams=args.sub_beams)
     frame = render(mesh, Pose(x=args.x, y=args.y, yaw=math.radians(args.yaw_deg)), sonar, quality=quality)
-    _write_frame(args.out, frame, sonar)
+    write_frame(args.out, frame, sonar)
     if args.png is not None:
         from sonarjax.plot import plot_frame, save_figure
 
         save_figure(plot_frame(frame, sonar), args.png)
     if not frame.labels().any():
-        _complain(f"{args.mesh}: nothing of it is in the sonar's view at x {args.x:g} m, y {args.y:g} m", "note: ")
+        complain(f"{args.mesh}: nothing of it is in the sonar's view at x {args.x:g} m, y {args.y:g} m", "note: ")
     return 0
-
-
-def _write_frame(path: str, frame: Lazy, sonar: Lazy) -> None:
-    """Write a SonarFrame (range, beam) and the axes of its Sonar as FRAME.npz."""
-    import numpy as np
-
-    from sonarjax.io import write_npz
-
-    write_npz(
-        path,
-        image=np.asarray(frame.semantic()),
-        intensity=np.asarray(frame.intensity),
-        highlight=np.asarray(frame.highlight),
-        shadow=np.asarray(frame.shadow),
-        labels=np.asarray(frame.labels()),
-        azimuth_deg=np.degrees(np.asarray(sonar.azimuth, np.float64)),
-        range_edges_m=np.linspace(float(sonar.range_min), float(sonar.range_max), sonar.n_ranges + 1),
-    )
 
 
 def _segment(args: argparse.Namespace) -> int:
@@ -256,7 +253,7 @@ def _segment(args: argparse.Namespace) -> int:
         except BrokenPipeError:
             raise
         except Exception as error:  # whatever one frame does to us, the others are still to be segmented
-            _complain(naming(name, error))
+            complain(naming(name, error))
             code = 1
             continue
         if written.setdefault(frame.stem, name) != name:
@@ -300,10 +297,41 @@ def _recognize(args: argparse.Namespace) -> int:
                 raise
             except Exception as error:  # whatever one frame does to us, the others are still to be recognized
                 record = {"frame": name, "error": naming(name, error), "schema": SCHEMA}
-                _complain(record["error"])
+                complain(record["error"])
                 code = 1
             lines.write(record)
     return code
+
+
+def _calibrate(args: argparse.Namespace) -> int:
+    from sonarjax.io import check_outputs, naming
+
+    check_outputs({"--out": args.out, "--png": args.png}, (*args.frames, args.target, args.sonar))
+    _start_jax()
+    from sonarjax.calibrate import calibrate, check_free, compare_templates, describe_calibration
+    from sonarjax.cpu import CpuEngine
+    from sonarjax.scene import Mesh
+    from sonarjax.sonar import Sonar
+
+    check_free(args.free)
+    sonar, mesh = Sonar.from_toml(args.sonar), Mesh.load(args.target, args.unit_m)
+    frames = []
+    for name, frame in _each_frame(args.frames):
+        if isinstance(frame, Exception):
+            complain(naming(name, frame))
+            return 1
+        frames.append(frame)
+    images, masks = [frame.image for frame in frames], [frame.mask for frame in frames]
+    found = calibrate(
+        images, mesh, sonar, free=args.free, masks=masks, engine=CpuEngine(), progress=partial(complain, kind="")
+    )
+    found.sonar.to_toml(args.out)
+    if args.png is not None:
+        from sonarjax.plot import plot_calibration, save_figure
+
+        save_figure(plot_calibration(*compare_templates(found, images, mesh, sonar), sonar), args.png)
+    say(describe_calibration(found, sonar, [frame.source for frame in frames]))
+    return 0
 
 
 def record_of(result: Lazy, frame: str, seconds: float) -> dict[str, Any]:
@@ -348,9 +376,9 @@ def _train(args: argparse.Namespace) -> int:
     keep_memory()  # a third of a step would go into asking for its memory again
     result = train(args.preset, args.run_dir, resume=args.resume, engine=CpuEngine())
     if not result.finished:
-        _complain(f"stopped after step {result.step}; --resume goes on from there", "")
+        complain(f"stopped after step {result.step}; --resume goes on from there", "")
         return 130
-    _say(f"{result.weights}: " + ", ".join(f"{name} {value:.3f}" for name, value in result.metrics.items()))
+    say(f"{result.weights}: " + ", ".join(f"{name} {value:.3f}" for name, value in result.metrics.items()))
     return 0
 
 
@@ -360,9 +388,9 @@ def _info(args: argparse.Namespace) -> int:
     try:
         text = describe(args.file)
     except SonarjaxError as error:
-        _complain(str(error))
+        complain(str(error))
         return 2 if args.file.lower().endswith(".toml") else 1
-    _say(text)
+    say(text)
     return 0
 
 
@@ -373,10 +401,10 @@ def _convert(args: argparse.Namespace) -> int:
     try:
         frame = one_frame(args.file)
     except SonarjaxError as error:
-        _complain(str(error))
+        complain(str(error))
         return 1
     options = FanOptions(**{name: getattr(args, name) for name in FanOptions.__dataclass_fields__})
-    _say(convert(frame, args.out, options))
+    say(convert(frame, args.out, options))
     return 0
 
 
@@ -411,38 +439,6 @@ def _start_jax() -> None:
     from sonarjax import cpu
 
     cpu.tune()
-
-
-def _complain(message: str, kind: str = "error: ") -> None:
-    """One line on stderr, whatever `message` holds."""
-    line = f"sonarjax: {kind}{' '.join(message.split())}"
-    with contextlib.suppress(OSError, ValueError):  # stderr may be closed
-        if sys.stderr.isatty() and "tqdm" in sys.modules:
-            sys.modules["tqdm"].tqdm.write(line, file=sys.stderr)  # above the bar
-        else:
-            print(line, file=sys.stderr, flush=True)
-
-
-def _say(text: str) -> None:
-    """Print to stdout, now. Raises SonarjaxError when it cannot be written, BrokenPipeError when nobody reads it."""
-    from sonarjax.io import SonarjaxError
-
-    encoding = sys.stdout.encoding or "utf-8"
-    try:
-        print(text.encode(encoding, "backslashreplace").decode(encoding), flush=True)  # ASCII terminals exist
-    except BrokenPipeError:
-        raise
-    except OSError as error:
-        _silence_stdout()
-        raise SonarjaxError(f"stdout: cannot be written: {error.strerror}") from error
-
-
-def _silence_stdout() -> None:
-    """Point stdout nowhere, or the interpreter complains again when it flushes at exit."""
-    with contextlib.suppress(OSError, ValueError):
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, sys.stdout.fileno())
-        os.close(nowhere)
 
 
 if __name__ == "__main__":

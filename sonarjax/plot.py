@@ -8,6 +8,7 @@ Colours can be told apart by the colour-blind (Okabe and Ito) and in grey print.
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -100,6 +101,21 @@ def plot_frame(frame: SonarFrame, sonar: Sonar) -> Figure:
     if not lit.all():
         unlit = Patch(color=UNLIT_COLOR, label="floor outside the vertical aperture")
         figure.legend(handles=[unlit], loc="outside lower center", frameon=False)
+    return figure
+
+
+def plot_calibration(images: Sequence[Any], before: Sequence[Any], after: Sequence[Any], sonar: Sonar) -> Figure:
+    """Frames (range, beam) with outlines of the target's templates above, of the `before` ones, and of those `after`.
+
+    All are lists of the same length; axes are those of `sonar`.
+    """
+    figure = Figure(figsize=(3.2 * max(len(images), 2), 8.0), layout="constrained")
+    for row, (title, templates) in enumerate((("nominal", before), ("fitted", after))):
+        for column, (image, template) in enumerate(zip(images, templates, strict=True)):
+            ax = figure.add_subplot(2, len(images), row * len(images) + column + 1)
+            plot_polar(ax, image, sonar)
+            draw_outline(ax, template, sonar)
+            ax.set_title(f"{title} geometry")
     return figure
 
 

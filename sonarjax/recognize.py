@@ -129,6 +129,7 @@ class Recognizer:
         if refine is not None and not isinstance(refine, RefineConfig):
             raise SonarjaxError(f"refine: expected a RefineConfig, or None for no refinement, got {refine!r}")
         named = _named(targets)
+        sonar = sonar.replace(geometry_std=None)  # no part of what is rendered: else all would be compiled again
         self.sonar, self.search, self.engine = sonar, search, engine
         self.targets = {name: TargetSearch(m, sonar, search, name=name, engine=engine) for name, m in named.items()}
         self.refine = None if refine is None else _widened(refine, search.yaw_bins)

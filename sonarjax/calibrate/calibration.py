@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sonarjax.calibrate.covariance import Certainty, certainty
+from sonarjax.calibrate.covariance import Certainty, certainty, overcounted
 from sonarjax.calibrate.detect import Prepared, best_height, detect
 from sonarjax.calibrate.parameters import changed_sonar, check_free, prior_std
 from sonarjax.calibrate.picture import LEAST_EXPONENT, LOOK, Look, make_sampling
@@ -36,7 +36,7 @@ from sonarjax.render.region import image_azimuth
 from sonarjax.scene import Mesh, Pose
 from sonarjax.segment import DEFAULT_SEGMENTER, Segmenter, load_segmenter
 from sonarjax.sensor import SensorModel
-from sonarjax.sonar import Sonar
+from sonarjax.sonar import GeometryStd, Sonar
 
 BLURS, ITERATIONS = (8.0, 2.0), (8, 14)
 """Blurs [range bins] of the comparison, coarse to fine, and iterations at each, at most."""
@@ -124,13 +124,15 @@ def calibrate(
     which it is not found are left out. `prior` gives standard deviations [rad, m or 1] of how well the nominal `sonar`
     is known. What the frames do not determine keeps the nominal value, and is said to be undetermined.
 
-    `masks` (frame, range, beam) are true where pixels were measured; `progress` is told what is being done.
+    `masks` (frame, range, beam) are true where pixels were measured, None for a frame that is measured everywhere;
+    `progress` is told what is being done.
 
     Raises SonarjaxError for no frames, shapes that do not fit the sonar, frames that are all alike, values that are not
     finite, free numbers that do not exist, or a target that is in view in none of the frames.
     """
     names = check_free(free)
     std = prior_std(names, prior, sonar)
+    sonar = sonar.replace(geometry_std=None)
     images, measured = _checked(frames, masks, sonar)
     if poses is not None and poses.shape != (len(images),):
         raise SonarjaxError(f"poses: expected one for each of the {len(images)} frames, got shape {poses.shape}")
@@ -146,7 +148,9 @@ def calibrate(
     begin = _first_guess(job, search)
     found, fit = None, None
     for _ in range(2):  # the second time with a sonar that is nearly right
-        now = changed_sonar(sonar, names, jnp.asarray(begin)) if found is None else found.sonar
+        now = (
+            changed_sonar(sonar, names, jnp.asarray(begin)) if found is None else found.sonar.replace(geometry_std=None)
+        )
         progress("looking for the target")
         seen = detect(prepared, mesh, now, made, search, engine)
         probability = np.array([one.probability for one in seen])
@@ -161,7 +165,8 @@ def _checked(frames: Any, masks: Any, sonar: Sonar) -> tuple[list[np.ndarray], l
     images = [np.asarray(image, np.float32) for image in frames]
     if not images:
         raise SonarjaxError("frames: expected at least one frame")
-    measured = [None] * len(images) if masks is None else [np.asarray(mask, bool) for mask in masks]
+    given = [None] * len(images) if masks is None else list(masks)
+    measured = [None if mask is None else np.asarray(mask, bool) for mask in given]
     if len(measured) != len(images):
         raise SonarjaxError(f"masks: expected one for each of the {len(images)} frames, got {len(measured)}")
     for number, (image, mask) in enumerate(zip(images, measured, strict=True)):
@@ -212,7 +217,7 @@ def _result(
     size = _window(job, starts, change)
     observations = [_observation(job, int(k), start, size, change) for k, start in zip(which, starts, strict=True)]
     fit = _fitted(job, observations, size, change, (), coarse)
-    known = certainty(fit.information, fit.scores, job.std, job.free)
+    known = certainty(fit.information, job.std, job.free)
     loose = tuple(name for name, told in known.determined.items() if not told)
     if loose:
         reset = np.where([name in loose for name in job.free], 0.0, fit.point.shared[: len(job.free)])
@@ -268,6 +273,8 @@ def _fitted(
             tell = lambda cost, blur=blur: job.progress(f"fitting, blur {blur:g} bins: cost {cost:.0f}")  # noqa: E731
             fit = solve_jointly(evaluate, point, prior, iterations=most, progress=tell)
             point, spread = fit.point, _smooth(fit.spread)
+            if blur == BLURS[-1] and not last:
+                prior = prior._replace(overcounted=overcounted(fit.information, fit.scores, job.std))
     return fit
 
 
@@ -301,11 +308,14 @@ def _row_spread(observations: Sequence[Observation], sampling: Any) -> np.ndarra
 
 
 def _smooth(spread: np.ndarray) -> np.ndarray:
-    """Standard deviations (row,) averaged over neighbouring rows; none is far below what is usual."""
+    """Standard deviations (row,) averaged over neighbouring rows, none below what is usual.
+
+    Where a frame is dark it is quiet too; the picture is not that exact there, far down the skirt of the pattern.
+    """
     width = 9
     padded = np.pad(spread.astype(np.float64), width // 2, mode="edge")
     mean = np.convolve(padded, np.ones(width) / width, mode="valid")
-    return np.maximum(mean, 0.3 * np.median(mean) + 1e-4).astype(np.float32)
+    return np.maximum(mean, np.median(mean) + 1e-4).astype(np.float32)
 
 
 def _as_calibration(
@@ -320,8 +330,9 @@ def _as_calibration(
     residual[used] = np.sqrt(fit.costs / np.median(fit.costs))
     sonar = changed_sonar(job.sonar, job.free, jnp.asarray(change, jnp.float32))
     numbers = {f: float(getattr(sonar, f)) for f in FIELDS if np.ndim(getattr(sonar, f)) == 0}
+    std = dict(zip(job.free, np.sqrt(np.diag(known.covariance)).tolist(), strict=True))
     return Calibration(
-        sonar=sonar.replace(**numbers),
+        sonar=sonar.replace(**numbers, geometry_std=GeometryStd(**std)),
         sensor=SensorModel(
             object_gain=10 * look.gain / math.log(10.0), noise=math.exp(look.noise), log_share=0.0,
             exponent=math.exp(look.exponent) + LEAST_EXPONENT, elevation_skirt=look.skirt,

@@ -26,18 +26,13 @@ class Certainty(NamedTuple):
     """The direction of the least of them, in units of the priors."""
 
 
-def certainty(information: np.ndarray, scores: np.ndarray, std: np.ndarray, free: Sequence[str]) -> Certainty:
-    """From the joint `information` (shared, shared) and each frame's `scores` (frame, shared), free numbers first.
+def certainty(information: np.ndarray, std: np.ndarray, free: Sequence[str]) -> Certainty:
+    """From the frames' joint `information` (shared, shared), free numbers first, as `overcounted` has reduced it.
 
-    The residuals of neighbouring pixels err together, so the information counts too many of them. How much it must be
-    reduced is measured: the frames are independent, and the sum of their scores' outer products would equal the
-    information if the pixels were too (the sandwich of Huber, 1967, as a single factor, since frames may be few).
     `std` (free,) are the priors' standard deviations.
     """
     count = len(free)
-    prior = np.diag(1 / np.concatenate([std, LOOK_STD]) ** 2)
-    together = _overcounted(information, scores, prior)
-    told = information / together
+    prior, told = np.diag(1 / np.concatenate([std, LOOK_STD]) ** 2), information
     free_part, look = slice(None, count), slice(count, None)
     looks = told[look, look] + prior[look, look]
     alone = told[free_part, free_part] - told[free_part, look] @ np.linalg.solve(looks, told[look, free_part])
@@ -53,8 +48,15 @@ def certainty(information: np.ndarray, scores: np.ndarray, std: np.ndarray, free
     )
 
 
-def _overcounted(information: np.ndarray, scores: np.ndarray, prior: np.ndarray) -> float:
-    """By how much the information counts pixels that err together more than once; at least 1."""
+def overcounted(information: np.ndarray, scores: np.ndarray, std: np.ndarray) -> float:
+    """How often the `information` (shared, shared) counts what the frames tell; at least 1.
+
+    The residuals of neighbouring pixels err together, so that each thing is counted by many of them. Frames are
+    independent: the sum of the outer products of their `scores` (frame, shared) would equal the information if the
+    pixels were too (the sandwich of Huber, Proc. Fifth Berkeley Symp. 1, 1967, as a single factor, since frames may be
+    few). `std` (free,) are the priors' standard deviations of the free numbers, which come first.
+    """
+    prior = np.diag(1 / np.concatenate([std, LOOK_STD]) ** 2)
     inverse = np.linalg.inv(information + prior)
     frames = len(scores)
     centred = scores - scores.mean(axis=0)

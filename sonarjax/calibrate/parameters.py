@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -60,14 +60,15 @@ def prior_std(free: Sequence[str], prior: Mapping[str, float] | None, sonar: Son
             raise SonarjaxError(f"prior: {name!r} is not among the free numbers {', '.join(free)}")
         if not (math.isfinite(value) and value > 0):
             raise SonarjaxError(f"prior: {name}: expected a positive standard deviation, got {value}")
-    known = {name: PARAMETERS[name].std for name in free} | given
+    stated = {} if sonar.geometry_std is None else vars(sonar.geometry_std)
+    known = {name: float(stated.get(name, 0.0)) or PARAMETERS[name].std for name in free} | given
     return np.array([known[name] for name in free], float)
 
 
 def changed_sonar(sonar: Sonar, free: Sequence[str], change: Float[Array, "free"]) -> Sonar:
     """The sonar with each of the `free` numbers changed by `change` (free,); differentiable."""
     by = {name: change[k] for k, name in enumerate(free)}
-    fields = {
+    fields: dict[str, Any] = {
         name: jnp.asarray(getattr(sonar, name), jnp.float32) + by[name]
         for name in ("tilt", "roll", "height", "elevation_aperture")
         if name in by

@@ -53,7 +53,7 @@ LOOK = Look(
     pulse=float(_NOMINAL.pulse_bins), widening=float(_NOMINAL.beam_widening),
 )  # fmt: skip
 """Where a look starts: the nominal device's."""
-LOOK_STD = Look(gain=1.0, noise=2.0, exponent=1.0, skirt=3.0, slope=1.5, noise_slope=2.0, pulse=1.0, widening=0.3)
+LOOK_STD = Look(gain=1.0, noise=2.0, exponent=1.0, skirt=1.5, slope=1.5, noise_slope=1.5, pulse=1.0, widening=0.3)
 """Standard deviations of its prior: the range of the devices that the package draws."""
 LOOK_TRUST = Look(gain=0.5, noise=0.8, exponent=0.4, skirt=2.0, slope=0.5, noise_slope=1.0, pulse=0.5, widening=0.2)
 """Largest change in one iteration."""
@@ -122,13 +122,13 @@ def floor_elevation(sonar: Sonar, ranges: Float[Array, "range"]) -> Float[Array,
 class Sampling(NamedTuple):
     """How a picture is compared with a frame: blurred, then every few pixels."""
 
-    along: Float[Array, "row range"]
+    along: Float[Array | np.ndarray, "row range"]
     """Blur in range; its rows sum to 1."""
-    across: Float[Array, "column beam"]
+    across: Float[Array | np.ndarray, "column beam"]
     """Blur in azimuth."""
 
-    def __call__(self, image: Float[Array, "range beam"]) -> Float[Array, "row column"]:
-        """The blurred image, at every few pixels."""
+    def __call__(self, image: Float[Array | np.ndarray, "range beam"]) -> Any:
+        """The blurred image (row, column), at every few pixels."""
         return self.along @ image @ self.across.T
 
 

@@ -45,9 +45,9 @@ MOST_DAMPING = 1e3
 class Observation:
     """A frame as it is compared."""
 
-    image: Float[Array, "range beam"]
+    image: Float[Array | np.ndarray, "range beam"]
     """The frame, any grey scale; 0 where nothing was measured."""
-    mask: Float[Array, "range beam"]
+    mask: Float[Array | np.ndarray, "range beam"]
     """1 where a pixel was measured, else 0."""
     start: Pose
     """Where its pose starts."""
@@ -88,6 +88,8 @@ class Prior(NamedTuple):
     """Largest step (shared,) of one iteration."""
     fixed: np.ndarray
     """Which numbers (shared,) stay as they are."""
+    overcounted: float = 1.0
+    """How often the residuals count each thing that a frame tells [1]: what they say weighs less by that factor."""
 
 
 def make_prior(free: Sequence[str], std: np.ndarray, fixed: Sequence[str] = ()) -> Prior:
@@ -123,7 +125,10 @@ def linearise(
     seen: Observation, mesh: Mesh, sonar: Sonar, shared: Array, own: Array, sampling: Sampling, std: Array,
     reference: Array, *, free: tuple[str, ...], size: WindowSize,
 ) -> tuple[Array, ...]:  # fmt: skip
-    """The fields of a frame's `Blocks` at `shared` (free + look,) and `own` (4,); residuals have `std` (row,) [grey]."""
+    """The fields of a frame's `Blocks` at `shared` (free + look,) and `own` (4,).
+
+    `std` (row,) are the residuals' standard deviations [grey], `reference` [m] is that of `picture`.
+    """
     count = len(free)
 
     def layers_at(geometry: Array) -> Array:
@@ -204,6 +209,7 @@ _TRUST = np.array(TRUST_OWN)
 
 def _assembled(parts: Sequence[Blocks], point: Point, prior: Prior) -> _Assembled:
     hessian, gradient, costs, square = (np.stack([np.asarray(v, float) for v in vs]) for vs in zip(*parts, strict=True))
+    hessian, gradient, costs = (v / prior.overcounted for v in (hessian, gradient, costs))
     hessian[:, POSE, POSE] += 1 / BOUNCE_STD**2
     off = point.own[:, POSE] - BOUNCE
     gradient[:, POSE] += off / BOUNCE_STD**2

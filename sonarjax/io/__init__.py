@@ -8,6 +8,7 @@ azimuth (to port), with mask, geometry [m, deg] and what else the header says. E
 from sonarjax.io.aris import parse_aris
 from sonarjax.io.aris_beams import aris_azimuth_deg
 from sonarjax.io.atomic import write_atomic, write_npz, write_png, write_text
+from sonarjax.io.console import complain, say, silence_stdout
 from sonarjax.io.convert import FAN_OPTIONS, FanOptions, convert, one_frame
 from sonarjax.io.describe import describe
 from sonarjax.io.didson import DIDSON_TABLES, DidsonTables, didson_azimuth_deg, parse_didson
@@ -37,6 +38,7 @@ __all__ = [
     "SonarjaxError",
     "aris_azimuth_deg",
     "check_label_files",
+    "complain",
     "check_outputs",
     "content_box",
     "convert",
@@ -60,6 +62,8 @@ __all__ = [
     "read_bytes",
     "read_frames",
     "read_toml",
+    "say",
+    "silence_stdout",
     "split_spec",
     "write_atomic",
     "write_npz",

@@ -4,6 +4,7 @@ from sonarjax.render.bank import TemplateBank, bank_place, template_bank
 from sonarjax.render.energy import floor_angle
 from sonarjax.render.fits import check_fits
 from sonarjax.render.frame import RenderQuality, SonarFrame, Window, semantic_image
+from sonarjax.render.frame_file import write_frame
 from sonarjax.render.region import WindowSize, floor_point, image_azimuth, place_window, plan_window
 from sonarjax.render.simulate import render
 from sonarjax.render.window import render_echo, render_window
@@ -11,5 +12,5 @@ from sonarjax.render.window import render_echo, render_window
 __all__ = [
     "RenderQuality", "SonarFrame", "TemplateBank", "Window", "WindowSize", "bank_place", "check_fits", "floor_angle",
     "floor_point", "image_azimuth", "place_window", "plan_window", "render", "render_echo", "render_window",
-    "semantic_image", "template_bank",
+    "semantic_image", "template_bank", "write_frame",
 ]  # fmt: skip

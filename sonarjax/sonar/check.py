@@ -13,7 +13,7 @@ import numpy as np
 
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.header import RANGE_LIMIT_M
-from sonarjax.sonar.model import Sonar
+from sonarjax.sonar.model import GeometryStd, Sonar
 
 MAX_RANGES = 100_000
 """More range bins than any device stores: taken for a mistake."""
@@ -61,6 +61,10 @@ _FLOOR_RULES = (
     _Rule("width", lambda v: v > 0, "more than 0 m", FLOOR_LIMIT_M, " m"),
     _Rule("yaw", lambda v: abs(v) <= 360, "between -360° and 360°", degrees=True),
 )
+_STD_RULES = tuple(
+    _Rule(name, lambda v: v >= 0, "0 or more", 1e3, degrees=name in ("tilt", "roll", "elevation_aperture"))
+    for name in GeometryStd.__dataclass_fields__
+)
 
 
 def check_sonar(sonar: Sonar, source: str, names: Mapping[str, str] | None = None) -> Sonar:
@@ -77,6 +81,10 @@ def check_sonar(sonar: Sonar, source: str, names: Mapping[str, str] | None = Non
         for rule in _FLOOR_RULES:
             field = f"floor.{rule.field}"
             _check_number(getattr(sonar.floor, rule.field), rule, source, names.get(field, field))
+    if sonar.geometry_std is not None:
+        for rule in _STD_RULES:
+            field = f"geometry_std.{rule.field}"
+            _check_number(getattr(sonar.geometry_std, rule.field), rule, source, names.get(field, field))
     check_count(sonar.n_ranges, source, names.get("n_ranges", "n_ranges"))
     check_azimuth(sonar.azimuth, source, names.get("azimuth", "azimuth"))
     _check_pixels(sonar, source)

@@ -31,6 +31,31 @@ class FloorPatch:
 
 
 @record
+class GeometryStd:
+    """How well a sonar's geometry is known: standard deviations, as a calibration gives them; 0 where none is stated.
+
+    `range_scale`, `azimuth_scale` and `beam_bend` are those of `sonarjax.calibrate.PARAMETERS`.
+    """
+
+    tilt: Scalar = 0.0
+    """Of the tilt [rad]."""
+    roll: Scalar = 0.0
+    """Of the roll [rad]."""
+    height: Scalar = 0.0
+    """Of the height [m]."""
+    elevation_aperture: Scalar = 0.0
+    """Of the vertical aperture [rad]."""
+    range_offset: Scalar = 0.0
+    """Of an offset of all ranges [m]."""
+    range_scale: Scalar = 0.0
+    """Of a factor on all ranges [1]."""
+    azimuth_scale: Scalar = 0.0
+    """Of a factor on all beam angles [1]."""
+    beam_bend: Scalar = 0.0
+    """Of an unevenness of the beam angles [1]."""
+
+
+@record
 class Sonar:
     """An imaging sonar at (0, 0, height), tilted down by `tilt`; a pytree, differentiable in every float.
 
@@ -67,6 +92,8 @@ class Sonar:
     """Exponent of cos(incidence) in the echo's strength; 0 as in eq. 2, 1 or 2 for Lambert's law."""
     floor: FloorPatch | None = None
     """A platform instead of an endless floor."""
+    geometry_std: GeometryStd | None = None
+    """How well the geometry is known, where that is stated; rendering does not look at it."""
     n_ranges: int = field(default=512, metadata={"static": True})
     """Number of range bins."""
     highlight_max_incidence: float = field(default=90.0, metadata={"static": True})

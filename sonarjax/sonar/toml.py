@@ -20,7 +20,7 @@ from sonarjax.io.atomic import write_text
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.toml import read_toml
 from sonarjax.sonar.check import MAX_BEAMS, MAX_RANGES, as_numbers, check_sonar
-from sonarjax.sonar.model import FloorPatch, Sonar
+from sonarjax.sonar.model import FloorPatch, GeometryStd, Sonar
 from sonarjax.sonar.presets import PRESETS, azimuth_from_deg, even_beams
 
 _FIELDS = {
@@ -40,13 +40,24 @@ _FIELDS = {
     "highlight_max_incidence_deg": "highlight_max_incidence",
 }
 _FLOOR_FIELDS = {"x_m": "x", "y_m": "y", "length_m": "length", "width_m": "width", "yaw_deg": "yaw"}
+_STD_FIELDS = {
+    "tilt_deg": "tilt",
+    "roll_deg": "roll",
+    "height_m": "height",
+    "elevation_aperture_deg": "elevation_aperture",
+    "range_offset_m": "range_offset",
+    "range_scale": "range_scale",
+    "azimuth_scale": "azimuth_scale",
+    "beam_bend": "beam_bend",
+}
 _KEPT_IN_DEGREES = {"highlight_max_incidence_deg"}
 _REQUIRED = ("range_min_m", "range_max_m", "n_ranges", "elevation_aperture_deg", "tilt_deg", "height_m")
 _BEAM_KEYS = ("azimuth_deg", "n_beams", "field_of_view_deg")
-_KNOWN = ("preset", *_BEAM_KEYS, "n_ranges", *_FIELDS, "floor")
+_KNOWN = ("preset", *_BEAM_KEYS, "n_ranges", *_FIELDS, "floor", "geometry_std")
 _NAMES = (
     {field: key for key, field in _FIELDS.items()}
     | {f"floor.{field}": f"floor.{key}" for key, field in _FLOOR_FIELDS.items()}
+    | {f"geometry_std.{field}": f"geometry_std.{key}" for key, field in _STD_FIELDS.items()}
     | {"azimuth": "azimuth_deg"}
 )
 
@@ -76,6 +87,8 @@ def sonar_from_dict(table: Mapping[str, Any], source: str) -> Sonar:
         values["n_ranges"] = _whole(table, "n_ranges", MAX_RANGES, source)
     if "floor" in table:
         values["floor"] = _floor(table["floor"], source)
+    if "geometry_std" in table:
+        values["geometry_std"] = _geometry_std(table["geometry_std"], source)
     values["azimuth"] = _azimuth(table, base, source)
     if values["azimuth"].size == 1 and "field_of_view_deg" in table:
         values.setdefault("beam_width", math.radians(table["field_of_view_deg"]))
@@ -97,6 +110,10 @@ def write_sonar(sonar: Sonar, path: str | Path) -> None:
     if sonar.floor is not None:
         lines += ["", "[floor]"]
         lines += [f"{key} = {_written(getattr(sonar.floor, name), key, path)}" for key, name in _FLOOR_FIELDS.items()]
+    if sonar.geometry_std is not None:
+        known = {key: getattr(sonar.geometry_std, name) for key, name in _STD_FIELDS.items()}
+        stated = [f"{key} = {_written(value, key, path)}" for key, value in known.items() if np.any(value)]
+        lines += ["", "# Standard deviations of how well the above is known.", "[geometry_std]", *stated]
     write_text(path, "\n".join(lines) + "\n")
 
 
@@ -190,6 +207,13 @@ def _floor(table: Any, source: str) -> FloorPatch:
     if missing:
         raise SonarjaxError(f"{source}: [floor] misses {', '.join(missing)}")
     return FloorPatch(**_numbers(table, _FLOOR_FIELDS, source, "floor."))
+
+
+def _geometry_std(table: Any, source: str) -> GeometryStd:
+    if not isinstance(table, Mapping):
+        raise SonarjaxError(f"{source}: geometry_std must be a table [geometry_std], got {_shown(table)}")
+    _refuse_unknown(table, _STD_FIELDS, f"{source}: [geometry_std]")
+    return GeometryStd(**_numbers(table, _STD_FIELDS, source, "geometry_std."))
 
 
 def _azimuth(table: Mapping[str, Any], base: Sonar | None, source: str) -> Float[Array, "beam"]:

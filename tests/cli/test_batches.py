@@ -156,7 +156,7 @@ def test_segment_goes_on_after_any_failure(command, stand_in, place, tmp_path, f
 
 @pytest.mark.parametrize(("failure", "expected"), [(KeyboardInterrupt(), 130), (BrokenPipeError(), 141)])
 def test_what_still_stops_a_batch(recognize, command, stand_in, place, tmp_path, monkeypatch, failure, expected):
-    monkeypatch.setattr("sonarjax.cli._silence_stdout", lambda: None)
+    monkeypatch.setattr("sonarjax.cli.silence_stdout", lambda: None)
     stand_in.failures = {2: failure, 4: failure}
     frames = [place / "a.npz", place / "b.npy", place / "a.npz"]
     code, _, records = recognize(frames, tmp_path / "r.jsonl")

@@ -1,0 +1,64 @@
+"""A calibration for people: its text, and what a picture of it shows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from sonarjax.calibrate.calibration import Calibration
+from sonarjax.calibrate.parameters import PARAMETERS
+from sonarjax.render import render
+from sonarjax.scene import Mesh, Pose
+from sonarjax.sonar import Sonar
+
+UNITS = {"rad": ("°", math.degrees(1.0)), "m": (" m", 1.0), "1": (" %", 100.0)}
+"""How a unit is shown, and by what its numbers are multiplied."""
+SHOWN = 4
+"""Frames in a picture, at most."""
+LOOSE = 0.35
+"""Least share of a direction that is named where the frames tell nothing about it [1]."""
+
+
+def describe_calibration(found: Calibration, nominal: Sonar, frames: Sequence[str]) -> str:
+    """Several lines: each free number with its standard deviation, what is undetermined, and a line a frame."""
+    lines = [_line(found, nominal, k) for k in range(len(found.free))]
+    if not all(found.determined.values()):
+        named = [f"{share:+.2f} {name}" for name, share in found.weakest.items() if abs(share) >= LOOSE]
+        lines.append(f"least known, in units of the priors: {' '.join(named)}")
+    if not found.converged:
+        lines.append("the fit has not settled: take its numbers with care")
+    for k, name in enumerate(frames):
+        state = f"residual {found.residual[k]:.2f}" if found.used[k] else "left out"
+        yaw = math.degrees(float(np.asarray(found.poses.yaw)[k]))
+        lines.append(f"{name}: {state}, target with probability {found.probability[k]:.2f}, yaw {yaw:.1f}°")
+    return "\n".join(lines)
+
+
+def _line(found: Calibration, nominal: Sonar, k: int) -> str:
+    name = found.free[k]
+    unit, scale = UNITS[PARAMETERS[name].unit]
+    change, std = scale * found.change[k], scale * math.sqrt(found.covariance[k, k])
+    if not found.determined[name]:
+        return f"{name}: not determined by these frames, kept as it was"
+    value = getattr(nominal, name, None)
+    total = "" if value is None else f"{scale * float(value) + change:.4g}{unit}, "
+    return f"{name}: {total}changed by {change:+.3g}{unit} ± {std:.2g}{unit}"
+
+
+def compare_templates(
+    found: Calibration, images: Sequence[Any], mesh: Mesh, nominal: Sonar
+) -> tuple[list[Any], list[Any], list[Any]]:
+    """Some of the frames that were used, and the target's semantic images with the nominal and the fitted sonar.
+
+    All are (range, beam).
+    """
+    which = np.flatnonzero(found.used)[:SHOWN]
+    poses = [Pose(*(float(np.asarray(v)[k]) for v in (found.poses.x, found.poses.y, found.poses.yaw))) for k in which]
+
+    def drawn(sonar: Sonar) -> list[Any]:
+        return [np.asarray(render(mesh, pose, sonar.replace(geometry_std=None)).semantic()) for pose in poses]
+
+    return [images[k] for k in which], drawn(nominal), drawn(found.sonar)

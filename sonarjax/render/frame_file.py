@@ -1,0 +1,28 @@
+"""FRAME.npz: a rendered frame with its axes."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+
+from sonarjax.io.atomic import write_npz
+from sonarjax.render.frame import SonarFrame
+from sonarjax.sonar import Sonar
+
+
+def write_frame(path: str | os.PathLike[str], frame: SonarFrame, sonar: Sonar) -> None:
+    """Write a frame (range, beam) and the axes of its sonar; `image`, its semantic image, can be recognized.
+
+    Raises SonarjaxError when the file cannot be written.
+    """
+    write_npz(
+        path,
+        image=np.asarray(frame.semantic()),
+        intensity=np.asarray(frame.intensity),
+        highlight=np.asarray(frame.highlight),
+        shadow=np.asarray(frame.shadow),
+        labels=np.asarray(frame.labels()),
+        azimuth_deg=np.degrees(np.asarray(sonar.azimuth, np.float64)),
+        range_edges_m=np.linspace(float(sonar.range_min), float(sonar.range_max), sonar.n_ranges + 1),
+    )
