@@ -201,7 +201,7 @@ def solve_jointly(
         if settled:
             break
     information, scores = _eliminated(best)
-    return Fit(point, information, scores, np.sqrt(best.square), best.costs, settled)
+    return Fit(point, information, scores, np.sqrt(best.square), best.costs, bool(settled))
 
 
 _TRUST = np.array(TRUST_OWN)

@@ -27,7 +27,7 @@ BRICK_SHARE = 0.65
 """How often the boxes are bricks, equal to one another."""
 TOUCH_M = 0.001
 """Least gap between two bricks [m], so that no two faces coincide."""
-SCATTERED_SHARE, SCATTERED_M = 0.2, (0.1, 0.6)
+SCATTERED_SHARE, SCATTERED_M = 0.12, (0.1, 0.6)
 """How often boxes on the floor stand far apart, as objects of their own, and how far [m]."""
 NUMBERS = 112  # that a pile takes from its stream
 _AXES = np.array([[0, 1, 2], [0, 2, 1], [2, 1, 0]])  # which side of a brick becomes its x, y and z

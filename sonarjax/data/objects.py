@@ -30,8 +30,8 @@ PITCH_SHARES = (0.4, 0.5, 0.1)
 """How often a cylinder is upright, lying, leaning."""
 NOTHING_SHARE = 0.04
 """How often there is no object."""
-RAISED_SHARES, RAISED_M, HANGING_M = (0.8, 0.1, 0.1), 0.04, (0.04, 0.5)
-"""How often the object stands on the floor, is a little above it, hangs in the water; how high it is then [m]."""
+RAISED_SHARE, RAISED_M = 0.1, 0.04
+"""How often the object does not touch the floor, and how high it is then at most [m]."""
 
 
 class Shape(NamedTuple):
@@ -50,8 +50,7 @@ def draw_shape(*, key: Array) -> Shape:
     kind = jnp.array([BOXES, CYLINDER, BALL, TUBE])[stream.pick(KIND_SHARES)]
     vertices = jnp.where(kind == BOXES, pile_vertices(draw_pile(key=pile_key)), _draw_round(kind, stream))
     vertices = jnp.where(kind == TUBE, draw_tube(key=tube_key), vertices)
-    heights = jnp.stack([jnp.zeros(()), stream.between(0.0, RAISED_M), stream.log_between(*HANGING_M)])
-    raised = heights[stream.pick(RAISED_SHARES)]
+    raised = stream.sometimes(RAISED_SHARE, stream.between(0.0, RAISED_M), 0.0)
     vertices = vertices + raised * jnp.array([0.0, 0.0, 1.0])
     return Shape(kind, jnp.where(stream.happens(NOTHING_SHARE), 0.0, vertices))
 

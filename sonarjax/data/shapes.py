@@ -31,7 +31,7 @@ BOXES, CYLINDER, BALL, TUBE = range(4)
 # Front faces that one slice crosses: 2 quads × 2 triangles of each upright box, 3 × 2 of one that leans; 9 sides of a
 # cylinder × 2, or fewer and as many triangles of a cap instead; fewer of the ball. A slice along a tube crosses its
 # near and its far wall in each of its segments; of few tubes more, which then lose some. Walls of the tank: two quads.
-CROSSINGS = 40
+CROSSINGS = 32
 """Room for the triangles of a `shape_mesh` that a slice crosses and that look at the sonar."""
 _CORNERS = box((1.0, 1.0, 1.0), (0.0, 0.0, 0.0))[0].astype(np.float32)
 

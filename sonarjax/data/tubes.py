@@ -1,4 +1,4 @@
-"""Random tubes: solids of revolution (bottles, cans, cones), outlines, lumps, bent pipes and tori, and chains."""
+"""Random tubes: solids of revolution (bottles, cans, cones), extruded outlines, lumps, and bent pipes and tori."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from sonarjax.data.draws import Stream
 from sonarjax.data.shapes import RING_SIDES, RINGS, tube_vertices
 from sonarjax.scene.pose import rotation_x, rotation_y, rotation_z
 
-KINDS = ("revolution", "outline", "lump", "bent", "chain")
-SHARES = (0.3, 0.22, 0.12, 0.22, 0.14)
+KINDS = ("revolution", "outline", "lump", "bent")
+SHARES = (0.35, 0.25, 0.15, 0.25)
 """How often a tube is each of `KINDS`."""
 POSTURES = (0.4, 0.45, 0.15)
 """How often it stands upright, lies, leans."""
@@ -22,9 +22,7 @@ BENDS_M, BENT, THICKNESS = (0.05, 0.25), (1.5, 2 * math.pi), (0.08, 0.42)
 """Radius [m] and angle [rad] of a bent pipe's path, and its own radius in units of the path's."""
 CLOSED_SHARE = 0.5
 """How often a bent pipe is closed to a torus."""
-CHAIN_M, CHAIN_RADIUS_M, CHAIN_TURN = (0.15, 0.9), (0.006, 0.025), 1.1
-"""Length and half thickness of a chain or rope [m], and by how much it turns aside at most [rad]."""
-NUMBERS = 64  # that a tube takes from its stream
+NUMBERS = 48  # that a tube takes from its stream
 
 
 def draw_tube(*, key: Array) -> Float[Array, "vertex 3"]:
@@ -32,7 +30,6 @@ def draw_tube(*, key: Array) -> Float[Array, "vertex 3"]:
     stream = Stream(NUMBERS, key=key)
     kind = stream.pick(SHARES)
     points = jnp.where(kind == KINDS.index("bent"), _bent(stream), _straight(kind, stream))
-    points = jnp.where(kind == KINDS.index("chain"), _chain(stream), points)
     pitch = jnp.stack([jnp.zeros(()), jnp.full((), math.pi / 2), stream.between(0.0, math.pi / 2)])
     rotation = rotation_y(pitch[stream.pick(POSTURES)]) @ rotation_z(stream.between(0.0, 2 * math.pi))
     points = points @ (rotation_z(stream.between(0.0, 2 * math.pi)) @ rotation).T
@@ -66,15 +63,3 @@ def _bent(stream: Stream) -> Float[Array, "vertex 3"]:
     # Seen along the path, `up` is a quarter turn before `outwards`.
     points = tube_vertices(bend * outwards, up, outwards, jnp.broadcast_to(radius, (RINGS, RING_SIDES)))
     return points @ rotation_x(stream.between(-0.1, 0.1)).T
-
-
-def _chain(stream: Stream) -> Float[Array, "vertex 3"]:
-    """A thin chain, rope or wire along z, which winds to either side and never turns back."""
-    length, radius = stream.log_between(*CHAIN_M), stream.log_between(*CHAIN_RADIUS_M)
-    aside = jnp.stack([stream.between(-CHAIN_TURN, CHAIN_TURN) for _ in range(RINGS - 1)])
-    steps = length / (RINGS - 1) * jnp.stack([jnp.zeros(RINGS - 1), jnp.sin(aside), jnp.cos(aside)], axis=1)
-    path = jnp.concatenate([jnp.zeros((1, 3)), jnp.cumsum(steps, axis=0)])
-    across, up = (jnp.broadcast_to(jnp.array(v), (RINGS, 3)) for v in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)))
-    # Links lie across and along in turn.
-    links = jnp.where(jnp.arange(RINGS) % 2, 1.0, 0.6)[:, None]
-    return tube_vertices(path, across, up, jnp.broadcast_to(radius * links, (RINGS, RING_SIDES)))

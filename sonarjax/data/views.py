@@ -25,15 +25,12 @@ TABLE_SHARE = 0.75
 DIDSON_SHARE = 0.4
 """How often beams and bins are those of §4.1."""
 DIDSON_SPACING, DIDSON_BIN_M = math.radians(29.0 / 96), 2.5 / 512
-WALLS_SHARE, PLATFORM_SHARE, OPEN_WATER_SHARE = 0.4, 0.1, 0.06
-"""How often there are tank walls; without them, how often the floor is a platform a little larger than the object, and
-how often none is in view."""
+WALLS_SHARE, PLATFORM_SHARE = 0.4, 0.1
+"""How often there are tank walls, and how often the floor is a platform a little larger than the object."""
 FREQUENCIES = (1.1e6, 1.8e6, 2.1e6, 3.0e6)
 """Frequencies of other devices [Hz]."""
 NO_END_M = 1e3
 """Side of a floor without an end [m]."""
-NO_FLOOR_M = 1e-3
-"""Side of a floor that is as good as none [m]: it is below the object."""
 
 
 class View(NamedTuple):
@@ -98,7 +95,7 @@ def _pose(azimuth: Array, tilt: Array, height: Array, aperture: Array, stream: S
 def _surroundings(pose: Pose, stream: Stream) -> tuple[Array, Array, FloorPatch]:
     """Corners of the walls (wall, 3) [m], whether there are any, and the floor."""
     has_walls = stream.happens(WALLS_SHARE)
-    kind = stream.pick((1 - PLATFORM_SHARE - OPEN_WATER_SHARE, PLATFORM_SHARE, OPEN_WATER_SHARE))
+    platform = stream.happens(PLATFORM_SHARE) & ~has_walls
     length, width = (side * jnp.exp(stream.between(-0.1, 0.9)) for side in TANK_M[:2])
     turned = 0.08 * stream.normal()
     # The far wall is 0.3 m or more behind the object; the tank is moved sideways as far as that holds beside it too.
@@ -106,7 +103,7 @@ def _surroundings(pose: Pose, stream: Stream) -> tuple[Array, Array, FloorPatch]
     aside = stream.between(-0.5, 0.5) * jnp.maximum(width - 2 * (jnp.abs(pose.y) + 0.3), 0.0)
     center = jnp.stack([far - length / 2, aside])
     walls = wall_vertices(jnp.stack([length, width, jnp.float32(TANK_M[2])]), center, turned)
-    side = jnp.stack([jnp.float32(NO_END_M), stream.log_between(0.35, 1.0), jnp.float32(NO_FLOOR_M)])[kind]
+    side = jnp.where(platform, stream.log_between(0.35, 1.0), NO_END_M)
     tank = (center[0], center[1], length, width, turned)
     usual = (pose.x, pose.y, side, side, pose.yaw)
     floor = FloorPatch(*(jnp.where(has_walls, a, b) for a, b in zip(tank, usual, strict=True)))

@@ -201,7 +201,7 @@ RANGES: dict[str, tuple[float, float, str]] = {
 """Least and largest value of each field that `draw` gives at severity 1, and whether it is even in it or its log."""
 
 WIDE: dict[str, tuple[float, float, str]] = {
-    "object_gain": (-2.0, 20.0, "even"),
+    "object_gain": (0.0, 14.0, "even"),
     "tvg_exponent": (2.0, 5.0, "even"),
     "pulse_bins": (1.0, 7.0, "even"),
     "texture": (0.02, 0.8, "log"),

@@ -75,17 +75,15 @@ def test_boxes_do_not_pass_through_one_another(piles):
         assert not has_crossing_triangles(there.reshape(-1, 3), faces)
 
 
-def test_objects_stand_on_the_floor_or_hang_above_it_and_look_outwards(shapes):
+def test_objects_stand_on_the_floor_and_look_outwards(shapes):
     for kind, vertices, faces in zip(*shapes, strict=True):
         own, triangles = vertices[:N_VERTICES], vertices[faces[faces.max(1) < N_VERTICES]].astype(float)
         volume = np.linalg.det(triangles).sum() / 6  # of the closed surfaces, positive if faces look outwards
         if extent(own):
-            assert -1e-4 < own[:, 2].min() < 0.51 and volume > 1e-6
+            assert -1e-4 < own[:, 2].min() < 0.05 and volume > 1e-5
             assert np.hypot(own[:, 0], own[:, 1]).max() < 1.1, kind
         else:
             assert volume == 0  # nothing
-    lowest = np.array([v[:N_VERTICES, 2].min() for v in shapes[1] if extent(v[:N_VERTICES])])
-    assert 0.7 < (lowest < 1e-4).mean() < 0.9 and (lowest > 0.1).any()
 
 
 def test_same_surface_as_read_from_arrays(shapes):

@@ -33,7 +33,7 @@ def test_every_tube_encloses_a_volume_and_stands_on_the_floor(tubes: np.ndarray,
         assert body.is_watertight and body.is_winding_consistent
         assert body.volume > 1e-6  # outwards
         assert vertices[:, 2].min() == pytest.approx(0.0, abs=1e-5)
-        assert 0.02 < np.ptp(vertices, axis=0).max() < 0.95
+        assert 0.02 < np.ptp(vertices, axis=0).max() < 0.9
 
 
 def test_some_are_bent_and_some_are_straight(tubes: np.ndarray) -> None:
@@ -44,14 +44,3 @@ def test_some_are_bent_and_some_are_straight(tubes: np.ndarray) -> None:
     closed, straight = direct < 0.05 * length, direct > 0.9 * length
     assert closed.sum() >= 3 and straight.sum() >= 20
     assert (~closed & ~straight).any()
-
-
-def test_chains_are_long_and_thin(tubes: np.ndarray) -> None:
-    """A chain's rings are small beside its length, which no other tube's are."""
-    rings = tubes[:, :-2].reshape(DRAWS, RINGS, RING_SIDES, 3)
-    middles = rings.mean(2)
-    thickness = np.linalg.norm(rings - middles[:, :, None], axis=3).max((1, 2))
-    length = np.linalg.norm(np.diff(middles, axis=1), axis=2).sum(1)
-    wound = length > 1.02 * np.linalg.norm(middles[:, -1] - middles[:, 0], axis=1)
-    chains = (length > 8 * thickness) & wound & (thickness < 0.026)
-    assert 3 <= chains.sum() <= 20

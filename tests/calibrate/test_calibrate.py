@@ -1,0 +1,103 @@
+"""`calibrate` from end to end on simulated frames, and what it refuses."""
+
+from __future__ import annotations
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import sonarjax as sj
+from sonarjax.calibrate.parameters import changed_sonar
+from sonarjax.calibrate.picture import LOOK, make_sampling
+from sonarjax.calibrate.solver import OWN, Observation, linearise
+from sonarjax.render import WindowSize
+from sonarjax.sensor import SensorModel, observe_scene
+
+NOMINAL = sj.Sonar.preset("didson-hf", tilt=math.radians(20.0))
+FREE, OFF = ("tilt", "height"), (math.radians(2.0), -0.06)
+COUNT = 6
+
+
+@pytest.fixture(scope="module")
+def frames():
+    """Frames (frame, range, beam) of the target seen by a sonar that is off, the last of them another object; poses."""
+    true = changed_sonar(NOMINAL, FREE, jnp.array(OFF))
+    poses = [sj.Pose(2.25 + 0.05 * k, 0.04 * k - 0.1, 1.1 * k) for k in range(COUNT)]
+    meshes = [sj.objects.target()] * (COUNT - 1) + [sj.objects.non_target()]
+    model = jax.tree.map(jnp.float32, SensorModel.nominal())
+    images = [
+        np.asarray(observe_scene(mesh, pose, true, model, key=jax.random.key(k))[0])
+        for k, (mesh, pose) in enumerate(zip(meshes, poses, strict=True))
+    ]
+    return images, poses
+
+
+@pytest.mark.slow
+def test_tilt_and_height_come_back_and_the_other_object_is_left_out(frames) -> None:
+    images, poses = frames
+    prior = {"tilt": math.radians(3.0), "height": 0.05}
+    found = sj.calibrate(images, sj.objects.target(), NOMINAL, prior=prior)
+    assert found.change[0] == pytest.approx(OFF[0], abs=math.radians(0.4))
+    assert found.change[1] == pytest.approx(OFF[1], abs=0.01)
+    assert found.determined == {"tilt": True, "height": True}
+    assert not found.used[-1] and found.used[:-1].sum() >= 4
+    for k in np.flatnonzero(found.used):
+        assert math.cos(float(found.poses.yaw[k]) - float(poses[k].yaw)) > math.cos(math.radians(4.0))
+    assert float(found.sonar.tilt) == pytest.approx(math.radians(20.0) + found.change[0])
+    assert found.sonar.geometry_std.tilt == pytest.approx(found.std["tilt"])
+
+
+@pytest.mark.slow
+def test_known_poses_leave_the_target_unsearched(frames) -> None:
+    images, poses = frames
+    at = jax.tree.map(lambda *v: jnp.stack([jnp.asarray(x, jnp.float32) for x in v]), *poses[:-1])
+    found = sj.calibrate(images[:-1], sj.objects.target(), NOMINAL, poses=at, prior={"tilt": 0.05, "height": 0.05})
+    assert found.used.all()
+    assert found.change[1] == pytest.approx(OFF[1], abs=0.01)
+
+
+@pytest.mark.slow
+def test_derivatives_are_finite_differences(frames) -> None:
+    """The gradient of the cost by shared and own numbers, away from the solution."""
+    images, poses = frames
+    size = WindowSize((NOMINAL.n_ranges, 48), 32)
+    seen = Observation(images[0], np.ones(NOMINAL.shape, np.float32), poses[0], np.int32(24))
+    sampling, std = make_sampling(NOMINAL.shape, 4.0), np.full(NOMINAL.n_ranges // 4, 0.3, np.float32)
+    shared, own = np.array([*OFF, *LOOK], np.float32), np.array([0.01, 0.002, 0.001, 0.2], np.float32)
+
+    def blocks(shared: np.ndarray, own: np.ndarray):
+        args = seen, sj.objects.target(), NOMINAL, shared, own, sampling, std, np.float32(2.75)
+        return linearise(*args, free=FREE, size=size)
+
+    gradient = np.asarray(blocks(shared, own)[1])
+    steps = [2e-3, 1e-3, 1e-3, 2e-2, 2e-3, 2e-3, *[2e-2] * len(LOOK)]
+    for k, step in enumerate(steps):
+        move = np.eye(len(steps), dtype=np.float32)[k] * np.float32(step)
+        costs = [float(blocks(shared + s * move[OWN:], own + s * move[:OWN])[2]) for s in (1, -1)]
+        assert gradient[k] == pytest.approx(
+            (costs[0] - costs[1]) / (2 * step), rel=0.1, abs=0.02 * abs(gradient).max()
+        ), k
+
+
+IMAGE = np.zeros(NOMINAL.shape, np.float32)
+
+
+@pytest.mark.parametrize(
+    ("frames", "options", "what"),
+    [
+        ([], {}, r"frames: expected at least one frame"),
+        ([IMAGE, IMAGE[:-1]], {}, r"frames\[1\]: expected shape \(512, 96\)"),
+        ([IMAGE + np.nan], {}, r"frames\[0\]: holds NaN"),
+        ([IMAGE, IMAGE], {}, r"frames: all 2 are the same picture"),
+        ([IMAGE, IMAGE + 1], {"masks": [None]}, r"masks: expected one for each of the 2 frames"),
+        ([IMAGE, IMAGE + 1], {"poses": sj.Pose(x=[1.0], y=0.0, yaw=0.0)}, r"poses: expected one for each"),
+        ([IMAGE], {"free": ("tilt", "wind")}, r"free: expected different names"),
+        ([IMAGE], {"prior": {"roll": 0.1}}, r"prior: 'roll' is not among"),
+    ],
+)
+def test_bad_input_is_one_clear_error(frames, options, what) -> None:
+    with pytest.raises(sj.SonarjaxError, match=what):
+        sj.calibrate(frames, sj.objects.target(), NOMINAL, segmenter="none", **options)

@@ -1,0 +1,61 @@
+"""The free numbers of a sonar: what each changes, and what is refused."""
+
+from __future__ import annotations
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import sonarjax as sj
+from sonarjax.calibrate.parameters import PARAMETERS, changed_sonar, check_free, prior_std
+from sonarjax.sonar import GeometryStd
+
+SONAR = sj.Sonar.preset("didson-hf")
+
+
+def test_no_change_is_the_nominal_sonar() -> None:
+    same = changed_sonar(SONAR, tuple(PARAMETERS), jnp.zeros(len(PARAMETERS)))
+    for a, b in zip(jax.tree.leaves(same), jax.tree.leaves(SONAR), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-6)
+
+
+def test_each_number_changes_what_it_says() -> None:
+    def changed(name: str, value: float) -> sj.Sonar:
+        return changed_sonar(SONAR, (name,), jnp.array([value]))
+
+    for name in ("tilt", "roll", "height", "elevation_aperture"):
+        assert float(getattr(changed(name, 0.01), name)) == pytest.approx(float(getattr(SONAR, name)) + 0.01)
+    assert float(changed("range_offset", 0.02).range_max) == pytest.approx(4.02)
+    stretched = changed("range_scale", 0.01)
+    assert (float(stretched.range_min), float(stretched.range_max)) == pytest.approx((1.515, 4.04))
+    np.testing.assert_allclose(changed("azimuth_scale", 0.02).azimuth, 1.02 * np.asarray(SONAR.azimuth), rtol=1e-5)
+    bent, outer = np.asarray(changed("beam_bend", 0.1).azimuth), float(SONAR.azimuth[-1])
+    assert bent[-1] == pytest.approx(outer, rel=1e-5)  # the outer beams and the middle stay
+    u = np.asarray(SONAR.azimuth) / outer
+    np.testing.assert_allclose(bent, outer * (u + 0.1 * (u - u**3)), rtol=1e-4, atol=1e-6)
+
+
+def test_names_come_in_one_order() -> None:
+    assert check_free(["height", "tilt"]) == ("tilt", "height")
+
+
+@pytest.mark.parametrize("free", [(), ("tilt", "tilt"), ("tilt", "pitch"), "yaw"])
+def test_free_numbers_that_do_not_exist_are_refused(free) -> None:
+    with pytest.raises(sj.SonarjaxError, match=r"free: expected different names of: tilt, roll, height"):
+        check_free(free)
+
+
+def test_prior_is_given_or_stated_or_usual() -> None:
+    stated = SONAR.replace(geometry_std=GeometryStd(height=0.02))
+    found = prior_std(("tilt", "roll", "height"), {"tilt": 0.01}, stated)
+    np.testing.assert_allclose(found, [0.01, math.radians(3.0), 0.02])
+
+
+@pytest.mark.parametrize(("prior", "what"), [({"roll": 0.1}, "not among"), ({"tilt": 0.0}, "positive"),
+                                             ({"tilt": math.nan}, "positive")])  # fmt: skip
+def test_priors_that_cannot_be_are_refused(prior, what) -> None:
+    with pytest.raises(sj.SonarjaxError, match=what):
+        prior_std(("tilt", "height"), prior, SONAR)

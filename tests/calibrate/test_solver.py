@@ -1,0 +1,114 @@
+"""Block elimination against the dense solution; covariance against closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sonarjax.calibrate.covariance import certainty, overcounted
+from sonarjax.calibrate.picture import LOOK, LOOK_STD
+from sonarjax.calibrate.solver import BOUNCE, BOUNCE_STD, LOOKS, OWN, Blocks, Point, make_prior, solve_jointly
+
+FREE, STD = ("tilt", "height"), np.array([0.05, 0.1])
+SHARED = len(FREE) + LOOKS
+FRAMES = 5
+
+
+@pytest.fixture(scope="module")
+def linear():
+    """Jacobians (frame, residual, number) and residuals (frame, residual) at zero of a linear problem."""
+    rng = np.random.default_rng(1)
+    return rng.normal(size=(FRAMES, 60, OWN + SHARED)), 0.02 * rng.normal(size=(FRAMES, 60))
+
+
+def evaluate(linear):
+    jacobians, constants = linear
+
+    def at(point: Point) -> list[Blocks]:
+        found = []
+        for jacobian, constant, own in zip(jacobians, constants, point.own, strict=True):
+            residual = constant + jacobian @ np.concatenate([own, point.shared - np.concatenate([[0, 0], LOOK])])
+            found.append(
+                Blocks(jacobian.T @ jacobian, jacobian.T @ residual, (residual**2).sum() / 2, residual[:3] ** 2)
+            )
+        return found
+
+    return at
+
+
+def begin() -> Point:
+    return Point(np.concatenate([[0, 0], LOOK]), np.tile([0, 0, 0, BOUNCE], (FRAMES, 1)))
+
+
+def dense(linear, fixed: list[int]) -> np.ndarray:
+    """The minimum over all numbers at once: shared, then each frame's own."""
+    jacobians, constants = linear
+    rows, right = [], []
+    for k in range(FRAMES):
+        block = np.zeros((60, SHARED + OWN * FRAMES))
+        block[:, :SHARED], block[:, SHARED + OWN * k : SHARED + OWN * (k + 1)] = (
+            jacobians[k][:, OWN:],
+            jacobians[k][:, :OWN],
+        )
+        rows.append(block)
+        right.append(-constants[k])
+        bounce = np.zeros(SHARED + OWN * FRAMES)
+        bounce[SHARED + OWN * k + OWN - 1] = 1 / BOUNCE_STD
+        rows.append(bounce[None])
+        right.append(np.array([BOUNCE / BOUNCE_STD]))
+    rows.append(np.diag(1 / np.concatenate([STD, LOOK_STD, np.full(OWN * FRAMES, np.inf)])))
+    right.append(np.zeros(SHARED + OWN * FRAMES))
+    system = np.concatenate(rows)
+    free = np.delete(np.arange(system.shape[1]), fixed)
+    found = np.zeros(system.shape[1])
+    found[free] = np.linalg.lstsq(system[:, free], np.concatenate(right), rcond=None)[0]
+    return found
+
+
+@pytest.mark.parametrize("fixed", [(), ("height",)])
+def test_blocks_give_the_dense_solution(linear, fixed) -> None:
+    fit = solve_jointly(evaluate(linear), begin(), make_prior(FREE, STD, fixed), iterations=60)
+    wanted = dense(linear, [FREE.index(name) for name in fixed])
+    assert fit.converged
+    np.testing.assert_allclose(fit.point.shared - np.concatenate([[0, 0], LOOK]), wanted[:SHARED], atol=2e-4)
+    np.testing.assert_allclose(fit.point.own.reshape(-1), wanted[SHARED:], atol=2e-4)
+
+
+def test_information_is_the_schur_complement(linear) -> None:
+    """The shared block of the inverse of all frames' normal equations, inverted again."""
+    fit = solve_jointly(evaluate(linear), begin(), make_prior(FREE, STD), iterations=3)
+    whole = np.zeros((SHARED + OWN * FRAMES,) * 2)
+    for k, jacobian in enumerate(linear[0]):
+        where = np.concatenate([SHARED + OWN * k + np.arange(OWN), np.arange(SHARED)])
+        whole[np.ix_(where, where)] += jacobian.T @ jacobian
+        whole[SHARED + OWN * k + OWN - 1, SHARED + OWN * k + OWN - 1] += 1 / BOUNCE_STD**2
+    np.testing.assert_allclose(
+        np.linalg.inv(np.linalg.inv(whole)[:SHARED, :SHARED]), fit.information, rtol=1e-5, atol=1e-5
+    )
+
+
+def test_covariance_of_independent_numbers() -> None:
+    information = np.diag([4 / STD[0] ** 2, 0.01 / STD[1] ** 2, *np.ones(LOOKS)])
+    known = certainty(information, STD, FREE)
+    np.testing.assert_allclose(np.sqrt(np.diag(known.covariance)) / STD, [5**-0.5, 1.01**-0.5])
+    assert known.determined == {"tilt": True, "height": False}
+    np.testing.assert_allclose(known.singular_values, [2.0, 0.1])
+    assert abs(known.weakest["height"]) == pytest.approx(1.0)
+
+
+def test_numbers_that_only_a_sum_determines_are_not_determined() -> None:
+    along = np.array([1 / STD[0], 1 / STD[1]])
+    information = np.zeros((SHARED, SHARED))
+    information[:2, :2] = 1e4 * np.outer(along, along)
+    known = certainty(information, STD, FREE)
+    assert known.determined == {"tilt": False, "height": False}
+    assert known.weakest["tilt"] == pytest.approx(-known.weakest["height"], rel=1e-6)
+
+
+def test_pixels_that_err_together_are_counted_once() -> None:
+    """Each frame's residuals repeated nine times: nine times the information, 81 times the scores' squares."""
+    rng = np.random.default_rng(2)
+    scores = rng.normal(size=(4000, SHARED)) * 3
+    information = 4000 * np.eye(SHARED) * 9
+    assert overcounted(information, scores, STD) == pytest.approx(1.0, abs=0.05)
+    assert overcounted(9 * information, 9 * scores, STD) == pytest.approx(9.0, rel=0.05)
