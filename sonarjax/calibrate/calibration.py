@@ -38,7 +38,7 @@ from sonarjax.segment import DEFAULT_SEGMENTER, Segmenter, load_segmenter
 from sonarjax.sensor import SensorModel
 from sonarjax.sonar import GeometryStd, Sonar
 
-BLURS, ITERATIONS = (8.0, 2.0), (8, 14)
+BLURS, ITERATIONS = (8.0, 2.0), (6, 10)
 """Blurs [range bins] of the comparison, coarse to fine, and iterations at each, at most."""
 HEIGHT_STEP = 0.1
 """A height known no better than this [m] is searched for in such steps, before anything is fitted."""
@@ -216,12 +216,13 @@ def _result(
     change = np.zeros(len(job.free)) if begin is None else begin
     size = _window(job, starts, change)
     observations = [_observation(job, int(k), start, size, change) for k, start in zip(which, starts, strict=True)]
-    fit = _fitted(job, observations, size, change, (), coarse)
+    point = Point(np.concatenate([change, LOOK]), np.tile(np.eye(OWN)[POSE] * BOUNCE, (len(observations), 1)))
+    fit = _fitted(job, observations, size, point, (), coarse)
     known = certainty(fit.information, job.std, job.free)
     loose = tuple(name for name, told in known.determined.items() if not told)
     if loose:
-        reset = np.where([name in loose for name in job.free], 0.0, fit.point.shared[: len(job.free)])
-        fit = _fitted(job, observations, size, reset, loose, coarse)
+        kept = np.array([name not in loose for name in job.free] + [True] * len(LOOK))
+        fit = _fitted(job, observations, size, fit.point._replace(shared=fit.point.shared * kept), loose, False)
     return _as_calibration(job, fit, known, poses, probability, used)
 
 
@@ -243,11 +244,9 @@ def _observation(job: _Job, number: int, start: Pose, size: WindowSize, change: 
 
 
 def _fitted(
-    job: _Job, observations: Sequence[Observation], size: WindowSize, change: np.ndarray, fixed: tuple[str, ...],
-    coarse: bool,
-) -> Fit:  # fmt: skip
-    """The joint fit from `change` (free,), coarse to fine or fine at once; `fixed` numbers keep theirs."""
-    point = Point(np.concatenate([change, LOOK]), np.tile(np.eye(OWN)[POSE] * BOUNCE, (len(observations), 1)))
+    job: _Job, observations: Sequence[Observation], size: WindowSize, point: Point, fixed: tuple[str, ...], coarse: bool
+) -> Fit:
+    """The joint fit from `point`, coarse to fine or fine at once; `fixed` numbers stay as they are."""
     prior = make_prior(job.free, job.std, fixed)
     reference = np.float32((float(job.sonar.range_min) + float(job.sonar.range_max)) / 2)
     for blur, iterations in list(zip(BLURS, ITERATIONS, strict=True))[0 if coarse else 1 :]:
