@@ -95,7 +95,7 @@ def refine_start(
 
 
 def peak_bins(scores: np.ndarray, yaws: np.ndarray, count: int) -> list[int]:
-    """Bins of the highest peaks over yaw, best first; at least one."""
+    """Bins of the highest peaks of `scores` (yaw,) over `yaws` (yaw,) [rad], best first; at least one."""
     found = peaks(scores, yaws, max_peaks=count)
     return [int(k) for k, valid in zip(np.asarray(found.yaw_bin), np.asarray(found.valid), strict=True) if valid]
 

@@ -1,0 +1,83 @@
+"""`sonarjax calibrate`: what it refuses, what it writes and says."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import sonarjax as sj
+from sonarjax.calibrate import Calibration, describe_calibration
+from sonarjax.sensor import SensorModel
+from sonarjax.sonar import GeometryStd
+
+
+def arguments(place, *frames, out, **options):
+    named = [part for name, value in options.items() for part in (f"--{name}", value)]
+    return [
+        "calibrate",
+        *frames,
+        "--target",
+        place / "brick.stl",
+        "--sonar",
+        place / "sonar.toml",
+        "--out",
+        out,
+        *named,
+    ]
+
+
+@pytest.mark.parametrize(
+    ("frame", "options", "said", "code"),
+    [
+        ("a.npz", {"free": "tilt,wind"}, "free: expected different names of: tilt, roll, height", 2),
+        ("no.npz", {}, "no.npz: no such file", 1),
+        ("a.npz", {"sonar": "no.toml"}, "no.toml: no such", 2),
+    ],
+)
+def test_what_cannot_be_used_is_one_line(command, place, tmp_path, frame, options, said, code):
+    out = tmp_path / "fitted.toml"
+    found, _, err = command(*arguments(place, place / frame, out=out, **options))
+    assert found == code and said in err and err.count("\n") == 1
+    assert not out.exists()
+
+
+def test_an_output_may_not_be_an_input(command, place):
+    found, _, err = command(*arguments(place, place / "a.npz", out=place / "sonar.toml"))
+    assert found == 2 and "--out" in err
+
+
+@pytest.fixture
+def found() -> Calibration:
+    """A calibration as if it had been made."""
+    sonar = sj.Sonar.preset("didson-hf", geometry_std=GeometryStd(tilt=0.002, height=0.004))
+    return Calibration(
+        sonar=sonar, sensor=SensorModel(), poses=sj.Pose(np.array([2.0, 2.1]), 0.0, np.array([0.5, 1.0])),
+        free=("tilt", "height"), change=np.array([math.radians(1.0), 0.0]),
+        covariance=np.diag([math.radians(0.1) ** 2, 0.3**2]), determined={"tilt": True, "height": False},
+        singular_values=np.array([30.0, 0.2]), weakest={"tilt": 0.1, "height": -0.99}, used=np.array([True, False]),
+        probability=np.array([0.9, 0.1]), residual=np.array([1.0, np.nan]), converged=True,
+    )  # fmt: skip
+
+
+def test_the_text_says_what_is_known_and_what_is_not(found):
+    text = describe_calibration(found, sj.Sonar.preset("didson-hf"), ["a.png", "b.png"]).splitlines()
+    assert text[0] == "tilt: 16°, changed by +1° ± 0.1°"
+    assert text[1] == "height: not determined by these frames, kept as it was"
+    assert text[2] == "least known, in units of the priors: -0.99 height"
+    assert text[3].startswith("a.png: residual 1.00, target with probability 0.90")
+    assert text[4].startswith("b.png: left out")
+
+
+def test_what_is_known_of_the_geometry_survives_the_file(found, tmp_path):
+    path = tmp_path / "fitted.toml"
+    found.sonar.to_toml(path)
+    read = sj.Sonar.from_toml(path).geometry_std
+    assert (read.tilt, read.height, read.roll) == pytest.approx((0.002, 0.004, 0.0))
+    path.write_text(path.read_text().replace("tilt_deg = 0.1", "tilt_deg = -0.1"))
+    with pytest.raises(sj.SonarjaxError, match=r"geometry_std\.tilt_deg must be 0 or more"):
+        sj.Sonar.from_toml(path)
+    path.write_text(path.read_text().replace("height_m = 0.004", "hight_m = 0.004"))
+    with pytest.raises(sj.SonarjaxError, match=r"\[geometry_std\]: unknown key 'hight_m'"):
+        sj.Sonar.from_toml(path)
