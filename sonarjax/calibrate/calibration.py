@@ -47,7 +47,7 @@ SEARCHED = 6
 LIKELY = 0.5
 """Least probability of a frame that is fitted."""
 LEAST_SHARE, LEAST_FRAMES = 0.25, 3
-"""The likeliest share of the frames, and number of them, that are fitted in any case."""
+"""The likeliest share of the frames, and number of them, that are fitted first in any case."""
 SLACK_M = 0.12
 """Room beside the object in its window [m]."""
 
@@ -128,7 +128,7 @@ def calibrate(
     `progress` is told what is being done.
 
     Raises SonarjaxError for no frames, shapes that do not fit the sonar, frames that are all alike, values that are not
-    finite, free numbers that do not exist, or a target that is in view in none of the frames.
+    finite, free numbers that do not exist, or a target that is found in none of the frames.
     """
     names = check_free(free)
     std = prior_std(names, prior, sonar)
@@ -146,19 +146,20 @@ def calibrate(
     if poses is not None:
         return _result(job, poses, np.ones(len(images)), np.ones(len(images), bool), None)
     begin = _first_guess(job, search)
-    found, fit = None, None
-    for _ in range(2):  # the second time with a sonar that is nearly right
-        now = (
-            changed_sonar(sonar, names, jnp.asarray(begin)) if found is None else found.sonar.replace(geometry_std=None)
-        )
+
+    def found_with(now: Sonar) -> tuple[Pose, np.ndarray]:
         progress("looking for the target")
         seen = detect(prepared, mesh, now, made, search, engine)
-        probability = np.array([one.probability for one in seen])
-        at = jax.tree.map(lambda *v: np.stack([np.asarray(x) for x in v]), *[one.pose for one in seen])
-        fit = begin if found is None else found.change
-        found = _result(job, at, probability, _likely(probability), fit, coarse=found is None)
-    assert found is not None
-    return found
+        poses = jax.tree.map(lambda *v: np.stack([np.asarray(x) for x in v]), *[one.pose for one in seen])
+        return poses, np.array([one.probability for one in seen])
+
+    at, probability = found_with(changed_sonar(sonar, names, jnp.asarray(begin)))
+    first = _result(job, at, probability, _likeliest(probability), begin)
+    at, probability = found_with(first.sonar.replace(geometry_std=None))  # now it is nearly right
+    used = _likeliest(probability) if made.rule is None else probability >= LIKELY
+    if not used.any():
+        raise SonarjaxError(f"frames: the target was found in none of the {len(images)} frames")
+    return _result(job, at, probability, used, first.change, coarse=False)
 
 
 def _checked(frames: Any, masks: Any, sonar: Sonar) -> tuple[list[np.ndarray], list[np.ndarray | None]]:
@@ -201,8 +202,8 @@ def _first_guess(job: _Job, search: SearchConfig) -> np.ndarray:
     return change
 
 
-def _likely(probability: np.ndarray) -> np.ndarray:
-    """Which frames (frame,) are fitted."""
+def _likeliest(probability: np.ndarray) -> np.ndarray:
+    """Which frames (frame,) are fitted with a sonar that may be far off: the likely ones, and always a few."""
     least = max(LEAST_FRAMES, math.ceil(LEAST_SHARE * len(probability)))
     return (probability >= LIKELY) | (np.argsort(np.argsort(-probability)) < least)
 
