@@ -5,41 +5,26 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sonarjax.calibrate.covariance import Certainty, certainty, overcounted
+from sonarjax.calibrate.covariance import Certainty
 from sonarjax.calibrate.detect import Prepared, best_height, detect
+from sonarjax.calibrate.fit import Job, fit_frames
 from sonarjax.calibrate.parameters import changed_sonar, check_free, prior_std
-from sonarjax.calibrate.picture import LEAST_EXPONENT, LOOK, Look, make_sampling
-from sonarjax.calibrate.solver import (
-    BOUNCE,
-    OWN,
-    Blocks,
-    Fit,
-    Observation,
-    Point,
-    Prior,
-    linearise,
-    make_prior,
-    solve_jointly,
-)
+from sonarjax.calibrate.picture import LEAST_EXPONENT, Look
+from sonarjax.calibrate.solver import Fit
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.match import SearchConfig
-from sonarjax.refine.template import POSE
-from sonarjax.render import WindowSize, plan_window
-from sonarjax.render.region import image_azimuth
 from sonarjax.scene import Mesh, Pose
 from sonarjax.segment import DEFAULT_SEGMENTER, Segmenter, load_segmenter
 from sonarjax.sensor import SensorModel
 from sonarjax.sonar import GeometryStd, Sonar
 
-BLURS, ITERATIONS = (8.0, 2.0), (6, 10)
-"""Blurs [range bins] of the comparison, coarse to fine, and iterations at each, at most."""
 HEIGHT_STEP = 0.1
 """A height known no better than this [m] is searched for in such steps, before anything is fitted."""
 SEARCHED = 6
@@ -48,8 +33,6 @@ LIKELY = 0.5
 """Least probability of a frame that is fitted."""
 LEAST_SHARE, LEAST_FRAMES = 0.25, 3
 """The likeliest share of the frames, and number of them, that are fitted first in any case."""
-SLACK_M = 0.12
-"""Room beside the object in its window [m]."""
 
 
 @dataclass(frozen=True)
@@ -87,18 +70,6 @@ class Calibration:
     def std(self) -> dict[str, float]:
         """Standard deviation of each free number [rad, m or 1]."""
         return dict(zip(self.free, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
-
-
-class _Job(NamedTuple):
-    """What does not change during a calibration."""
-
-    frames: list[Prepared]
-    mesh: Mesh
-    sonar: Sonar
-    free: tuple[str, ...]
-    std: np.ndarray
-    engine: Engine
-    progress: Callable[[str], None]
 
 
 def calibrate(
@@ -142,9 +113,9 @@ def calibrate(
         Prepared(image, mask, np.asarray(made.semantic(image, mask, engine)) if poses is None else image)
         for image, mask in zip(images, measured, strict=True)
     ]
-    job = _Job(prepared, mesh, sonar, names, std, engine, progress)
+    job = Job(prepared, mesh, sonar, names, std, engine, progress)
     if poses is not None:
-        return _result(job, poses, np.ones(len(images)), np.ones(len(images), bool), None)
+        return _result(job, poses, np.ones(len(images)), np.ones(len(images), bool), np.zeros(len(names)))
     begin = _first_guess(job, search)
 
     def found_with(now: Sonar) -> tuple[Pose, np.ndarray]:
@@ -184,18 +155,15 @@ def _checked(frames: Any, masks: Any, sonar: Sonar) -> tuple[list[np.ndarray], l
     return [i.astype(np.float32) for i in filled], measured
 
 
-def _first_guess(job: _Job, search: SearchConfig) -> np.ndarray:
+def _first_guess(job: Job, search: SearchConfig) -> np.ndarray:
     """Changes (free,) to start from: the height is searched for where it is known badly."""
     change = np.zeros(len(job.free))
     known = dict(zip(job.free, job.std, strict=True))
     if known.get("height", 0.0) <= HEIGHT_STEP:
         return change
     job.progress("looking for the height")
-    steps = np.arange(
-        -math.ceil(1.5 * known["height"] / HEIGHT_STEP), math.ceil(1.5 * known["height"] / HEIGHT_STEP) + 1
-    )
-    nominal = float(job.sonar.height)
-    heights = nominal + HEIGHT_STEP * steps
+    reach, nominal = math.ceil(1.5 * known["height"] / HEIGHT_STEP), float(job.sonar.height)
+    heights = nominal + HEIGHT_STEP * np.arange(-reach, reach + 1)
     heights = heights[heights > HEIGHT_STEP]
     some = [job.frames[k] for k in np.unique(np.linspace(0, len(job.frames) - 1, SEARCHED).astype(int))]
     change[job.free.index("height")] = best_height(some, job.mesh, job.sonar, heights, search, job.engine) - nominal
@@ -209,117 +177,18 @@ def _likeliest(probability: np.ndarray) -> np.ndarray:
 
 
 def _result(
-    job: _Job, poses: Pose, probability: np.ndarray, used: np.ndarray, begin: np.ndarray | None, coarse: bool = True
+    job: Job, poses: Pose, probability: np.ndarray, used: np.ndarray, begin: np.ndarray, coarse: bool = True
 ) -> Calibration:
     """The calibration from the `used` frames (frame,), their poses and the free numbers' first changes (free,)."""
     which = np.flatnonzero(used)
     starts = [jax.tree.map(lambda v, k=k: np.float32(np.asarray(v)[k]), poses) for k in which]
-    change = np.zeros(len(job.free)) if begin is None else begin
-    size = _window(job, starts, change)
-    observations = [_observation(job, int(k), start, size, change) for k, start in zip(which, starts, strict=True)]
-    point = Point(np.concatenate([change, LOOK]), np.tile(np.eye(OWN)[POSE] * BOUNCE, (len(observations), 1)))
-    fit = _fitted(job, observations, size, point, (), coarse)
-    known = certainty(fit.information, job.std, job.free)
-    loose = tuple(name for name, told in known.determined.items() if not told)
-    if loose:
-        kept = np.array([name not in loose for name in job.free] + [True] * len(LOOK))
-        fit = _fitted(job, observations, size, fit.point._replace(shared=fit.point.shared * kept), loose, False)
+    frames = [job.frames[k] for k in which]
+    fit, known = fit_frames(job, frames, starts, begin, coarse)
     return _as_calibration(job, fit, known, poses, probability, used)
 
 
-def _window(job: _Job, starts: Sequence[Pose], change: np.ndarray) -> WindowSize:
-    """One window for all frames: all ranges, and the beams that the target may touch."""
-    sonar = changed_sonar(job.sonar, job.free, jnp.asarray(change))
-    nearest = min(float(np.hypot(start.x, start.y)) for start in starts)
-    planned = plan_window(job.mesh, sonar, nearest, SLACK_M)
-    return WindowSize((job.sonar.n_ranges, planned.shape[1]), planned.object_columns)
-
-
-def _observation(job: _Job, number: int, start: Pose, size: WindowSize, change: np.ndarray) -> Observation:
-    frame = job.frames[number]
-    sonar = changed_sonar(job.sonar, job.free, jnp.asarray(change))
-    bearing = float(image_azimuth(start.x, start.y, sonar))
-    column = int(np.searchsorted(np.asarray(sonar.azimuth), bearing)) - size.shape[1] // 2
-    mask = np.ones(job.sonar.shape, np.float32) if frame.mask is None else frame.mask.astype(np.float32)
-    return Observation(frame.image, mask, start, np.int32(np.clip(column, 0, job.sonar.n_beams - size.shape[1])))
-
-
-def _fitted(
-    job: _Job, observations: Sequence[Observation], size: WindowSize, point: Point, fixed: tuple[str, ...], coarse: bool
-) -> Fit:
-    """The joint fit from `point`, coarse to fine or fine at once; `fixed` numbers stay as they are."""
-    prior = make_prior(job.free, job.std, fixed)
-    reference = np.float32((float(job.sonar.range_min) + float(job.sonar.range_max)) / 2)
-    for blur, iterations in list(zip(BLURS, ITERATIONS, strict=True))[0 if coarse else 1 :]:
-        sampling = make_sampling(job.sonar.shape, blur)
-        spread = _row_spread(observations, sampling)
-        for last in (False, True):
-
-            def evaluate(
-                at: Point, count: int = len(observations), spread: np.ndarray = spread, sampling: Any = sampling
-            ) -> list[Blocks]:
-                shared = at.shared.astype(np.float32)
-
-                def one(k: int) -> Blocks:
-                    own = at.own[k].astype(np.float32)
-                    args = observations[k], job.mesh, job.sonar, shared, own, sampling, spread, reference
-                    return Blocks(*jax.device_get(job.engine.run(linearise, *args, free=job.free, size=size)))
-
-                return job.engine.map(one, range(count))
-
-            if coarse and blur == BLURS[0] and not last:
-                point = _best_tilt(job, evaluate, point, prior)
-            most = iterations if last else iterations // 2
-            tell = lambda cost, blur=blur: job.progress(f"fitting, blur {blur:g} bins: cost {cost:.0f}")  # noqa: E731
-            fit = solve_jointly(evaluate, point, prior, iterations=most, progress=tell)
-            point, spread = fit.point, _smooth(fit.spread)
-            if blur == BLURS[-1] and not last:
-                prior = prior._replace(overcounted=overcounted(fit.information, fit.scores, job.std))
-    return fit
-
-
-def _best_tilt(job: _Job, evaluate: Callable[[Point, int], list[Blocks]], point: Point, prior: Prior) -> Point:
-    """The point with the tilt, of a few across its prior, from which a few frames are explained best.
-
-    The lit floor's edge may be far from where the nominal tilt has it: from there a search may not find it.
-    """
-    if "tilt" not in job.free or prior.fixed[job.free.index("tilt")]:
-        return point
-    some, by_tilt = min(TILT_FRAMES, len(point.own)), np.eye(len(point.shared))[job.free.index("tilt")]
-    tried = []
-    for away in TILTS:
-        job.progress(f"trying a tilt {away:+g} standard deviations off")
-        begin = Point(point.shared + by_tilt * prior.std * away, point.own[:some])
-        tried.append(solve_jointly(lambda at: evaluate(at, some), begin, prior, iterations=TILT_ITERATIONS))
-    best = min(tried, key=lambda fit: fit.costs.sum())
-    return Point(best.point.shared, point.own)
-
-
-TILTS = (0.0, -1.2, -0.6, 0.6, 1.2)
-"""Tilts that are tried first, in units of the prior's standard deviation."""
-TILT_FRAMES, TILT_ITERATIONS = 3, 6
-"""With how many frames, and iterations, at most."""
-
-
-def _row_spread(observations: Sequence[Observation], sampling: Any) -> np.ndarray:
-    """A first guess of the residuals' standard deviation (row,): how much neighbouring beams differ."""
-    sampled = [np.asarray(sampling(seen.image)) for seen in observations]
-    return _smooth(np.median([np.diff(s, axis=1).std(axis=1) for s in sampled], axis=0))
-
-
-def _smooth(spread: np.ndarray) -> np.ndarray:
-    """Standard deviations (row,) averaged over neighbouring rows, none below what is usual.
-
-    Where a frame is dark it is quiet too; the picture is not that exact there, far down the skirt of the pattern.
-    """
-    width = 9
-    padded = np.pad(spread.astype(np.float64), width // 2, mode="edge")
-    mean = np.convolve(padded, np.ones(width) / width, mode="valid")
-    return np.maximum(mean, np.median(mean) + 1e-4).astype(np.float32)
-
-
 def _as_calibration(
-    job: _Job, fit: Fit, known: Certainty, poses: Pose, probability: np.ndarray, used: np.ndarray
+    job: Job, fit: Fit, known: Certainty, poses: Pose, probability: np.ndarray, used: np.ndarray
 ) -> Calibration:
     count = len(job.free)
     change, look = fit.point.shared[:count], Look(*fit.point.shared[count:])

@@ -1,0 +1,164 @@
+"""The joint fit to frames at roughly known poses: coarse to fine, tilts tried first, undetermined numbers kept."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from sonarjax.calibrate.covariance import Certainty, certainty, overcounted
+from sonarjax.calibrate.detect import Prepared
+from sonarjax.calibrate.parameters import changed_sonar
+from sonarjax.calibrate.picture import LOOK, make_sampling
+from sonarjax.calibrate.solver import (
+    BOUNCE,
+    OWN,
+    Blocks,
+    Fit,
+    Observation,
+    Point,
+    Prior,
+    linearise,
+    make_prior,
+    solve_jointly,
+)
+from sonarjax.engine import Engine
+from sonarjax.refine.template import POSE
+from sonarjax.render import WindowSize, plan_window
+from sonarjax.render.region import image_azimuth
+from sonarjax.scene import Mesh, Pose
+from sonarjax.sonar import Sonar
+
+BLURS, ITERATIONS = (8.0, 2.0), (6, 10)
+"""Blurs [range bins] of the comparison, coarse to fine, and iterations at each, at most."""
+TILTS = (0.0, -1.2, -0.6, 0.6, 1.2)
+"""Tilts that are tried first, in units of the prior's standard deviation."""
+TILT_FRAMES, TILT_ITERATIONS = 3, 6
+"""With how many frames, and iterations, at most."""
+SLACK_M = 0.12
+"""Room beside the object in its window [m]."""
+
+
+class Job(NamedTuple):
+    """What does not change during a calibration."""
+
+    frames: list[Prepared]
+    """All frames."""
+    mesh: Mesh
+    """The target."""
+    sonar: Sonar
+    """The nominal sonar."""
+    free: tuple[str, ...]
+    """Names of the free numbers."""
+    std: np.ndarray
+    """Standard deviations (free,) of their priors."""
+    engine: Engine
+    """What runs compiled code."""
+    progress: Callable[[str], None]
+    """Told what is being done."""
+
+
+def fit_frames(
+    job: Job, frames: Sequence[Prepared], starts: Sequence[Pose], begin: np.ndarray, coarse: bool
+) -> tuple[Fit, Certainty]:
+    """The joint fit to `frames` from their poses and the free numbers' changes `begin` (free,), and what is known.
+
+    `coarse` when these may be far off. A number that the frames do not determine ends with no change.
+    """
+    size = _window(job, starts, begin)
+    observations = [_observation(job, frame, at, size, begin) for frame, at in zip(frames, starts, strict=True)]
+    point = Point(np.concatenate([begin, LOOK]), np.tile(np.eye(OWN)[POSE] * BOUNCE, (len(observations), 1)))
+    fit = _fitted(job, observations, size, point, (), coarse)
+    known = certainty(fit.information, job.std, job.free)
+    loose = tuple(name for name, told in known.determined.items() if not told)
+    if loose:
+        kept = np.array([name not in loose for name in job.free] + [True] * len(LOOK))
+        fit = _fitted(job, observations, size, fit.point._replace(shared=fit.point.shared * kept), loose, False)
+    return fit, known
+
+
+def _window(job: Job, starts: Sequence[Pose], change: np.ndarray) -> WindowSize:
+    """One window for all frames: all ranges, and the beams that the target may touch."""
+    sonar = changed_sonar(job.sonar, job.free, jnp.asarray(change))
+    nearest = min(float(np.hypot(start.x, start.y)) for start in starts)
+    planned = plan_window(job.mesh, sonar, nearest, SLACK_M)
+    return WindowSize((job.sonar.n_ranges, planned.shape[1]), planned.object_columns)
+
+
+def _observation(job: Job, frame: Prepared, start: Pose, size: WindowSize, change: np.ndarray) -> Observation:
+    sonar = changed_sonar(job.sonar, job.free, jnp.asarray(change))
+    bearing = float(image_azimuth(start.x, start.y, sonar))
+    column = int(np.searchsorted(np.asarray(sonar.azimuth), bearing)) - size.shape[1] // 2
+    mask = np.ones(job.sonar.shape, np.float32) if frame.mask is None else frame.mask.astype(np.float32)
+    return Observation(frame.image, mask, start, np.int32(np.clip(column, 0, job.sonar.n_beams - size.shape[1])))
+
+
+def _fitted(
+    job: Job, observations: Sequence[Observation], size: WindowSize, point: Point, fixed: tuple[str, ...], coarse: bool
+) -> Fit:
+    """The joint fit from `point`, coarse to fine or fine at once; `fixed` numbers stay as they are."""
+    prior = make_prior(job.free, job.std, fixed)
+    reference = np.float32((float(job.sonar.range_min) + float(job.sonar.range_max)) / 2)
+    for blur, iterations in list(zip(BLURS, ITERATIONS, strict=True))[0 if coarse else 1 :]:
+        sampling = make_sampling(job.sonar.shape, blur)
+        spread = _row_spread(observations, sampling)
+        for last in (False, True):
+
+            def evaluate(
+                at: Point, count: int = len(observations), spread: np.ndarray = spread, sampling: Any = sampling
+            ) -> list[Blocks]:
+                shared = at.shared.astype(np.float32)
+
+                def one(k: int) -> Blocks:
+                    own = at.own[k].astype(np.float32)
+                    args = observations[k], job.mesh, job.sonar, shared, own, sampling, spread, reference
+                    return Blocks(*jax.device_get(job.engine.run(linearise, *args, free=job.free, size=size)))
+
+                return job.engine.map(one, range(count))
+
+            if coarse and blur == BLURS[0] and not last:
+                point = _best_tilt(job, evaluate, point, prior)
+            most = iterations if last else iterations // 2
+            tell = lambda cost, blur=blur: job.progress(f"fitting, blur {blur:g} bins: cost {cost:.0f}")  # noqa: E731
+            fit = solve_jointly(evaluate, point, prior, iterations=most, progress=tell)
+            point, spread = fit.point, _smooth(fit.spread)
+            if blur == BLURS[-1] and not last:
+                prior = prior._replace(overcounted=overcounted(fit.information, fit.scores, job.std))
+    return fit
+
+
+def _best_tilt(job: Job, evaluate: Callable[[Point, int], list[Blocks]], point: Point, prior: Prior) -> Point:
+    """The point with the tilt, of a few across its prior, from which a few frames are explained best.
+
+    The lit floor's edge may be far from where the nominal tilt has it: from there a search may not find it.
+    """
+    if "tilt" not in job.free or prior.fixed[job.free.index("tilt")]:
+        return point
+    some, by_tilt = min(TILT_FRAMES, len(point.own)), np.eye(len(point.shared))[job.free.index("tilt")]
+    tried = []
+    for away in TILTS:
+        job.progress(f"trying a tilt {away:+g} standard deviations off")
+        begin = Point(point.shared + by_tilt * prior.std * away, point.own[:some])
+        tried.append(solve_jointly(lambda at: evaluate(at, some), begin, prior, iterations=TILT_ITERATIONS))
+    best = min(tried, key=lambda fit: fit.costs.sum())
+    return Point(best.point.shared, point.own)
+
+
+def _row_spread(observations: Sequence[Observation], sampling: Any) -> np.ndarray:
+    """A first guess of the residuals' standard deviation (row,): how much neighbouring beams differ."""
+    sampled = [np.asarray(sampling(seen.image)) for seen in observations]
+    return _smooth(np.median([np.diff(s, axis=1).std(axis=1) for s in sampled], axis=0))
+
+
+def _smooth(spread: np.ndarray) -> np.ndarray:
+    """Standard deviations (row,) averaged over neighbouring rows, none below what is usual.
+
+    Where a frame is dark it is quiet too; the picture is not that exact there, far down the skirt of the pattern.
+    """
+    width = 9
+    padded = np.pad(spread.astype(np.float64), width // 2, mode="edge")
+    mean = np.convolve(padded, np.ones(width) / width, mode="valid")
+    return np.maximum(mean, np.median(mean) + 1e-4).astype(np.float32)
