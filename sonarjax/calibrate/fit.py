@@ -122,8 +122,8 @@ def _fitted(
             if coarse and blur == BLURS[0] and not last:
                 point = _best_tilt(job, evaluate, point, prior)
             most = iterations if last else iterations // 2
-            tell = lambda cost, blur=blur: job.progress(f"fitting, blur {blur:g} bins: cost {cost:.0f}")  # noqa: E731
-            fit = solve_jointly(evaluate, point, prior, iterations=most, progress=tell)
+            fit = solve_jointly(evaluate, point, prior, iterations=most)
+            job.progress(f"fitted, blurred by {blur:g} range bins: cost {fit.costs.sum():.0f}")
             point, spread = fit.point, _smooth(fit.spread)
             if blur == BLURS[-1] and not last:
                 prior = prior._replace(overcounted=overcounted(fit.information, fit.scores, job.std))

@@ -178,10 +178,7 @@ class _Assembled(NamedTuple):
     square: np.ndarray  # (row,)
 
 
-def solve_jointly(
-    evaluate: Callable[[Point], Sequence[Blocks]], begin: Point, prior: Prior, *, iterations: int,
-    progress: Callable[[float], None] = lambda cost: None,
-) -> Fit:  # fmt: skip
+def solve_jointly(evaluate: Callable[[Point], Sequence[Blocks]], begin: Point, prior: Prior, *, iterations: int) -> Fit:
     """Minimise the frames' costs and the priors from `begin`; `evaluate` gives each frame's `Blocks` at a point."""
     point, damping, settled = begin, 1e-3, False
     best = _assembled(evaluate(begin), begin, prior)
@@ -191,7 +188,6 @@ def solve_jointly(
         shared, own = np.clip(shared, -prior.trust, prior.trust), np.clip(own, -_TRUST, _TRUST)
         target = Point(point.shared + shared, _bounded(point.own + own))
         found = _assembled(evaluate(target), target, prior)
-        progress(found.cost)
         if found.cost < best.cost:
             gained, point, best, damping = best.cost - found.cost, target, found, max(damping / 5, 1e-6)
             settled = moved < SETTLED or gained < LEAST_GAIN * found.cost
