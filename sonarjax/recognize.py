@@ -25,6 +25,7 @@ from sonarjax.refine import (
     curve_evidence,
     is_kept,
     locate,
+    make_starts,
     on_frame,
     peak_bins,
     plan_refinement,
@@ -223,13 +224,11 @@ class Recognizer:
         self, best: Candidate, in_frame: Candidate | None, image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None
     ) -> tuple[tuple[Hypothesis, ...], float, float, dict[str, float] | None]:
         """Possible yaws, best first, the place (x, y) [m] of the best (a bin or refined), and what speaks for it."""
-        bins = peak_bins(best.match.scores, best.yaws, self.search.hypotheses)
         if self.refine is None:
+            bins = peak_bins(best.match.scores, best.yaws, self.search.hypotheses)
             plain = [Hypothesis(_wrap(best.yaws[k]), float(best.match.scores[k]), None) for k in bins]
             return _distinct(plain), best.x, best.y, None
-        starts = [Start(best, k, seen) for k in bins]
-        if in_frame is not None:
-            starts.append(Start(in_frame, int(in_frame.match.scores.argmax()), image))
+        starts = make_starts(best, in_frame, seen, image, self.search.hypotheses)
 
         def refined(start: Start) -> tuple[YawEstimate, Pose, Evidence]:
             assert self.refine is not None

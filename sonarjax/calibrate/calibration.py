@@ -42,7 +42,9 @@ class Calibration:
     sonar: Sonar
     """The nominal sonar with the numbers that the frames determine."""
     sensor: SensorModel
-    """The nominal device with the object's gain, noise, display exponent, vertical pattern and gain slope found."""
+    """The nominal device with the object's gain, noise, display exponent, skirt, pulse and beam width that were found.
+
+    `tvg_exponent` is the slope of the noise. Nearest values of another model: for comparison, not for simulation."""
     poses: Pose
     """The target's pose in each frame (frame,); of unused frames, the best guess."""
     free: tuple[str, ...]

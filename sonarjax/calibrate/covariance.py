@@ -32,10 +32,8 @@ def certainty(information: np.ndarray, std: np.ndarray, free: Sequence[str]) -> 
     `std` (free,) are the priors' standard deviations.
     """
     count = len(free)
-    prior, told = np.diag(1 / np.concatenate([std, LOOK_STD]) ** 2), information
-    free_part, look = slice(None, count), slice(count, None)
-    looks = told[look, look] + prior[look, look]
-    alone = told[free_part, free_part] - told[free_part, look] @ np.linalg.solve(looks, told[look, free_part])
+    of_free, across, of_look = information[:count, :count], information[:count, count:], information[count:, count:]
+    alone = of_free - across @ np.linalg.solve(of_look + np.diag(1 / np.array(LOOK_STD) ** 2), across.T)
     scaled = alone * std[:, None] * std
     values, directions = np.linalg.eigh(scaled)
     covariance = np.linalg.inv(alone + np.diag(1 / std**2))

@@ -12,11 +12,10 @@ from sonarjax.engine import Engine
 from sonarjax.match import SearchConfig, TargetSearch
 from sonarjax.refine import (
     MAP_REFINEMENT,
-    Start,
     curve_evidence,
     is_kept,
     locate,
-    peak_bins,
+    make_starts,
     plan_refinement,
     refine_start,
 )
@@ -59,10 +58,9 @@ def detect(
 def _detect(
     frame: Prepared, banks: TargetSearch, segmenter: Segmenter, window: WindowSize, engine: Engine
 ) -> Detection:
-    in_map, in_frame = locate(banks, frame.seen, frame.mask), locate(banks, frame.image, frame.mask)
-    bins = peak_bins(in_map.match.scores, in_map.yaws, banks.config.hypotheses)
-    starts = [Start(in_map, k, frame.seen) for k in bins]
-    starts.append(Start(in_frame, int(in_frame.match.scores.argmax()), frame.image))
+    in_map = locate(banks, frame.seen, frame.mask)
+    in_frame = None if segmenter.name == "none" else locate(banks, frame.image, frame.mask)
+    starts = make_starts(in_map, in_frame, frame.seen, frame.image, banks.config.hypotheses)
     found = engine.map(
         lambda start: refine_start(start, frame.image, frame.seen, frame.mask, MAP_REFINEMENT, window, engine), starts
     )

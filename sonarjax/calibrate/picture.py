@@ -15,7 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from sonarjax.refine.template import POSE, Subject, nominal_law, render_layers
+from sonarjax.refine.objective import BEAMS_PER_BIN
+from sonarjax.refine.template import VIEWS, Subject, nominal_law, render_layers
 from sonarjax.render import RenderQuality, Window, WindowSize, floor_angle
 from sonarjax.scene import Mesh, Pose
 from sonarjax.scene.pose import rotation_x, rotation_y
@@ -58,6 +59,7 @@ LOOK_STD = Look(gain=1.0, noise=2.0, exponent=1.0, skirt=1.5, slope=1.5, noise_s
 LOOK_TRUST = Look(gain=0.5, noise=0.8, exponent=0.4, skirt=2.0, slope=0.5, noise_slope=1.0, pulse=0.5, widening=0.2)
 """Largest change in one iteration."""
 LEAST_EXPONENT = 0.02
+"""Least power of energy [1]: as good as a logarithm."""
 
 
 def object_layers(
@@ -69,8 +71,8 @@ def object_layers(
     """
     window = Window(0, column, size.shape, size.object_columns)
     quality = RenderQuality(sub_beams=1)
-    subject = Subject(mesh, sonar, start, window, jnp.float32(0), jnp.int32(2), nominal_law(), quality)
-    return render_layers(subject, step[:POSE])
+    subject = Subject(mesh, sonar, start, window, jnp.float32(0), jnp.int32(VIEWS["echo"]), nominal_law(), quality)
+    return render_layers(subject, step)
 
 
 def picture(
@@ -134,8 +136,6 @@ class Sampling(NamedTuple):
 
 ROWS, COLUMNS = 4, 2
 """Range bins and beams from one compared pixel to the next."""
-BEAMS_PER_BIN = 0.4
-"""Width of the blur in azimuth, in beams for each range bin of that in range: round on the floor."""
 
 
 def make_sampling(shape: tuple[int, int], blur: float) -> Sampling:

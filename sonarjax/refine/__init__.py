@@ -12,6 +12,7 @@ from sonarjax.refine.starts import (
     curve_evidence,
     is_kept,
     locate,
+    make_starts,
     on_frame,
     peak_bins,
     refine_start,
@@ -27,6 +28,7 @@ from sonarjax.refine.yaw import (
 
 __all__ = [
     "ERROR_BAR", "FRAME_BLURS", "FRAME_ITERATIONS", "MAP_REFINEMENT", "Candidate", "Drawn", "ErrorBar", "Evidence",
-    "RefineConfig", "Start", "YawEstimate", "curve_evidence", "gather_evidence", "is_kept", "locate", "on_frame",
-    "peak_bins", "plan_refinement", "prepare_refinement", "refine_and_draw", "refine_start", "refine_yaw",
+    "RefineConfig", "Start", "YawEstimate", "curve_evidence", "gather_evidence", "is_kept", "locate", "make_starts",
+    "on_frame", "peak_bins", "plan_refinement", "prepare_refinement", "refine_and_draw", "refine_start",
+    "refine_yaw",
 ]  # fmt: skip

@@ -79,6 +79,19 @@ def locate(search: TargetSearch, picture: np.ndarray, mask: np.ndarray | None) -
     return Candidate(search, match, *search.place(match))
 
 
+def make_starts(
+    in_map: Candidate, in_frame: Candidate | None, seen: np.ndarray, image: np.ndarray, count: int
+) -> list[Start]:
+    """Up to `count` peaks over yaw of the match in the map `seen`, then the best of that in the frame `image`, if any.
+
+    Both pictures are (range, beam).
+    """
+    starts = [Start(in_map, k, seen) for k in peak_bins(in_map.match.scores, in_map.yaws, count)]
+    if in_frame is not None:
+        starts.append(Start(in_frame, int(in_frame.match.scores.argmax()), image))
+    return starts
+
+
 def refine_start(
     start: Start, image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None, config: RefineConfig,
     window: WindowSize | None, engine: Engine,
