@@ -14,8 +14,8 @@ import numpy as np
 from sonarjax.calibrate.covariance import Certainty
 from sonarjax.calibrate.detect import Prepared, best_height, detect
 from sonarjax.calibrate.fit import Job, fit_frames
+from sonarjax.calibrate.look import LEAST_EXPONENT, Look
 from sonarjax.calibrate.parameters import changed_sonar, check_free, prior_std
-from sonarjax.calibrate.picture import LEAST_EXPONENT, Look
 from sonarjax.calibrate.solver import Fit
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError

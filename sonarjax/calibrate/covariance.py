@@ -7,10 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sonarjax.calibrate.picture import LOOK_STD
+from sonarjax.calibrate.look import LOOK_STD
 
 DETERMINED = 0.5
 """Most of the prior's standard deviation that is left of a number that the frames determine [1]."""
+
+MODEL_FRAMES = 4
+"""As many frames' disagreement is worth as much as what the residuals' size says of it."""
 
 
 class Certainty(NamedTuple):
@@ -26,17 +29,24 @@ class Certainty(NamedTuple):
     """The direction of the least of them, in units of the priors."""
 
 
-def certainty(information: np.ndarray, std: np.ndarray, free: Sequence[str]) -> Certainty:
+def certainty(information: np.ndarray, scores: np.ndarray, std: np.ndarray, free: Sequence[str]) -> Certainty:
     """From the frames' joint `information` (shared, shared), free numbers first, as `overcounted` has reduced it.
 
-    `std` (free,) are the priors' standard deviations.
+    `scores` (frame, shared) are the frames' derivatives of the cost, `std` (free,) the priors' standard deviations.
+    How much the numbers vary is taken from how much the frames disagree, with MODEL_FRAMES frames' worth of what the
+    information says: the sandwich of Huber (Proc. Fifth Berkeley Symp. 1, 1967).
     """
-    count = len(free)
+    count, frames = len(free), len(scores)
     of_free, across, of_look = information[:count, :count], information[:count, count:], information[count:, count:]
     alone = of_free - across @ np.linalg.solve(of_look + np.diag(1 / np.array(LOOK_STD) ** 2), across.T)
     scaled = alone * std[:, None] * std
     values, directions = np.linalg.eigh(scaled)
-    covariance = np.linalg.inv(alone + np.diag(1 / std**2))
+    prior = np.diag(1 / np.concatenate([std, LOOK_STD]) ** 2)
+    inverse = np.linalg.inv(information + prior)
+    centred = scores - scores.mean(axis=0)
+    seen = centred.T @ centred * frames / max(frames - 1, 1)
+    spread = (frames * seen + MODEL_FRAMES * information) / (frames + MODEL_FRAMES)
+    covariance = (inverse @ (spread + prior) @ inverse)[:count, :count]
     left = np.sqrt(np.diag(covariance)) / std
     return Certainty(
         covariance=covariance,

@@ -11,8 +11,9 @@ import numpy as np
 
 from sonarjax.calibrate.covariance import Certainty, certainty, overcounted
 from sonarjax.calibrate.detect import Prepared
+from sonarjax.calibrate.look import LOOK
 from sonarjax.calibrate.parameters import changed_sonar
-from sonarjax.calibrate.picture import LOOK, make_sampling
+from sonarjax.calibrate.picture import make_sampling
 from sonarjax.calibrate.solver import (
     BOUNCE,
     OWN,
@@ -32,7 +33,7 @@ from sonarjax.render.region import image_azimuth
 from sonarjax.scene import Mesh, Pose
 from sonarjax.sonar import Sonar
 
-BLURS, ITERATIONS = (8.0, 2.0), (6, 10)
+BLURS, ITERATIONS = (8.0, 2.0), (6, 14)
 """Blurs [range bins] of the comparison, coarse to fine, and iterations at each, at most."""
 TILTS = (0.0, -1.2, -0.6, 0.6, 1.2)
 """Tilts that are tried first, in units of the prior's standard deviation."""
@@ -72,7 +73,7 @@ def fit_frames(
     observations = [_observation(job, frame, at, size, begin) for frame, at in zip(frames, starts, strict=True)]
     point = Point(np.concatenate([begin, LOOK]), np.tile(np.eye(OWN)[POSE] * BOUNCE, (len(observations), 1)))
     fit = _fitted(job, observations, size, point, (), coarse)
-    known = certainty(fit.information, job.std, job.free)
+    known = certainty(fit.information, fit.scores, job.std, job.free)
     loose = tuple(name for name, told in known.determined.items() if not told)
     if loose:
         kept = np.array([name not in loose for name in job.free] + [True] * len(LOOK))

@@ -1,13 +1,12 @@
 """The frame that a sonar would store of an object on a lit floor: what calibration fits to frames.
 
 Unlike a template, it has the floor's own brightness: the vertical pattern, whose edges say how the sonar is tilted, the
-slope of the gain and the noise. How a device stores energy is a power of it, up to an offset and a factor that each
-frame is free in; a small power stands for a logarithm.
+slope of the gain and the noise. What a device stores is a power of energy between black and white, up to an offset and
+a factor that each frame is free in; a small power stands for a logarithm.
 """
 
 from __future__ import annotations
 
-import math
 from typing import Any, NamedTuple
 
 import jax
@@ -15,51 +14,24 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from sonarjax.calibrate.look import LEAST_EXPONENT, Look
 from sonarjax.refine.objective import BEAMS_PER_BIN
 from sonarjax.refine.template import VIEWS, Subject, nominal_law, render_layers
 from sonarjax.render import RenderQuality, Window, WindowSize, floor_angle
 from sonarjax.scene import Mesh, Pose
 from sonarjax.scene.pose import rotation_x, rotation_y
 from sonarjax.sensor import SensorModel
-from sonarjax.sensor.beams import beam_mixing
+from sonarjax.sensor.beams import beam_mixing, streaks
 from sonarjax.sensor.propagation import elevation_gain, pulse_blur, range_middles
 from sonarjax.sonar import Sonar
 
-
-class Look(NamedTuple):
-    """How the device shows energy, shared by all frames; each is a number."""
-
-    gain: Any
-    """Logarithm of the object's backscatter relative to the floor's [1]."""
-    noise: Any
-    """Logarithm of the noise relative to the floor's energy [1], at the reference range."""
-    exponent: Any
-    """Logarithm of the power of energy that is stored [1]."""
-    skirt: Any
-    """How steeply the vertical pattern falls outside the aperture [dB per degree]."""
-    slope: Any
-    """Power of range by which the floor brightens [1]."""
-    noise_slope: Any
-    """Power of range by which the noise does [1]: the time-varied gain's."""
-    pulse: Any
-    """Length of the pulse [range bins], 1 to 9."""
-    widening: Any
-    """−3 dB width of a beam, in units of the sonar's own [1]."""
-
-
-_NOMINAL = SensorModel()
-LOOK = Look(
-    gain=math.log(10.0) * float(_NOMINAL.object_gain) / 10, noise=math.log(float(_NOMINAL.noise)), exponent=-2.0,
-    skirt=float(_NOMINAL.elevation_skirt), slope=0.0, noise_slope=float(_NOMINAL.tvg_exponent),
-    pulse=float(_NOMINAL.pulse_bins), widening=float(_NOMINAL.beam_widening),
-)  # fmt: skip
-"""Where a look starts: the nominal device's."""
-LOOK_STD = Look(gain=1.0, noise=2.0, exponent=1.0, skirt=1.5, slope=1.5, noise_slope=1.5, pulse=1.0, widening=0.3)
-"""Standard deviations of its prior: the range of the devices that the package draws."""
-LOOK_TRUST = Look(gain=0.5, noise=0.8, exponent=0.4, skirt=2.0, slope=0.5, noise_slope=1.0, pulse=0.5, widening=0.2)
-"""Largest change in one iteration."""
-LEAST_EXPONENT = 0.02
-"""Least power of energy [1]: as good as a logarithm."""
+LEAK_BEAMS = 10.0
+"""Beams over which what leaks into other beams falls to 1/e."""
+OWN_BEAMS = 2
+"""Beams this near are a beam's own: what they hear is the pattern's business."""
+CORNER = 1.5
+"""How sharply black and white set in [1]: the speckle of one look rounds the corner about as much."""
+BEAM_WAYS = float(SensorModel().beam_ways)
 
 
 def object_layers(
@@ -87,25 +59,57 @@ def picture(
 
     `bounce` is the energy that a bounce on the floor leaves [1], `reference` [m] the range at which the slopes are 1.
     """
-    (echo, _, shadow), (bounced, *_) = layers
+    energy = _received(sonar, look, layers, bounce, column, reference)
+    shown = clipped(energy, jnp.exp(look.dark), jnp.exp(look.white))
+    power = jnp.exp(look.exponent) + LEAST_EXPONENT
+    return (shown**power - 1) / power
+
+
+def _received(
+    sonar: Sonar, look: Look, layers: Float[Array, "view layer range column"], bounce: Float[Array, ""],
+    column: Int[Array, ""], reference: Any,
+) -> Float[Array, "range beam"]:  # fmt: skip
+    """Energy relative to the floor's: object, shadow and bounce through pulse, glints, beams and noise."""
     ranges = range_middles(sonar)
+    far = (ranges / reference)[:, None]
     empty = jnp.zeros((len(ranges), sonar.n_beams))
 
     def placed(part: Array) -> Array:
         return jax.lax.dynamic_update_slice(empty, part, (0, column))
 
-    from_object = placed(echo + bounce * bounced) / floor_angle(ranges, sonar)[:, None]
+    (echo, share, shadow), (bounced, *_) = layers
+    echo, share, shadow, bounced = (placed(part) for part in (echo, share, shadow, bounced))
+    bare = floor_angle(ranges, sonar)[:, None]
     lit = elevation_gain(floor_elevation(sonar, ranges), sonar.elevation_aperture, look.skirt)
-    far = (ranges / reference)[:, None]
-    # What stands above the floor is nearer to the beam axis than the floor at its range: the pattern is the floor's.
-    energy = jnp.exp(look.gain) * from_object + (1 - placed(shadow)) * lit
+    gain = jnp.exp(look.gain)
+    # By physics object and floor add up, each with its own backscatter. The simulator's `received_energy` gives both
+    # one backscatter by the object's share of the pixel, and the floor's vertical pattern. Which of them it is decides
+    # on a tenth of a pixel at the rim, so it is left to the frames.
+    apart = gain * echo / bare + (1 - shadow) * lit
+    mixed = (echo / bare + 1 - shadow) * lit * (share * gain + 1 - share)
+    energy = apart + look.rim * (mixed - apart) + gain * bounce * bounced / bare
     energy = pulse_blur(energy * far**look.slope, look.pulse)
-    energy = (
-        energy @ beam_mixing(sonar, jnp.maximum(look.widening, 0.3), _NOMINAL.beam_ways).T
-        + jnp.exp(look.noise) * far**look.noise_slope
-    )
-    power = jnp.exp(look.exponent) + LEAST_EXPONENT
-    return (energy**power - 1) / power
+    energy = streaks(energy, share, jnp.exp(look.streak))
+    mixing = beam_mixing(sonar, jnp.maximum(look.widening, 0.3), BEAM_WAYS)
+    energy = energy @ (leaking(sonar.n_beams, jnp.exp(look.leak)) @ mixing).T
+    return energy + jnp.exp(look.noise) * far**look.noise_slope
+
+
+def leaking(n_beams: int, level: Any) -> Float[Array, "beam source"]:
+    """What each beam hears of the others, `level` in all; rows sum to one.
+
+    A smooth version of `crosstalk_mixing`: which beams fire together need not be known.
+    """
+    apart = np.abs(np.arange(n_beams)[:, None] - np.arange(n_beams))
+    weight = np.where(apart > OWN_BEAMS, np.exp(-apart / LEAK_BEAMS), 0.0)
+    mixed = np.eye(n_beams) + level * weight / weight.sum(axis=1, keepdims=True)
+    return mixed / (1 + level)
+
+
+def clipped(energy: Float[Array, "*batch"], dark: Any, white: Any) -> Float[Array, "*batch"]:
+    """`energy` (...) kept between `dark` and `white`, with corners that are round, see `CORNER`."""
+    raised = (energy**CORNER + dark**CORNER) ** (1 / CORNER)
+    return (raised**-CORNER + white**-CORNER) ** (-1 / CORNER)
 
 
 def floor_elevation(sonar: Sonar, ranges: Float[Array, "range"]) -> Float[Array, "range beam"]:

@@ -16,8 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from sonarjax.calibrate.look import LOOK, LOOK_STD, LOOK_TRUST, Look
 from sonarjax.calibrate.parameters import PARAMETERS, changed_sonar
-from sonarjax.calibrate.picture import LOOK, LOOK_STD, LOOK_TRUST, Look, Sampling, fitted, object_layers, picture
+from sonarjax.calibrate.picture import Sampling, fitted, object_layers, picture
 from sonarjax.records import record
 from sonarjax.refine.template import POSE
 from sonarjax.render import WindowSize
@@ -34,7 +35,7 @@ HUBER = 2.0
 """Standard deviations beyond which a residual counts linearly."""
 SETTLED = 0.02
 """Shared numbers whose next step is below this share of their trust have settled."""
-LEAST_GAIN = 1e-4
+LEAST_GAIN = 2e-5
 """A step that lowers the cost by a smaller share is the last."""
 LOOKS = len(LOOK)
 MOST_DAMPING = 1e3

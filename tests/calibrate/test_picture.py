@@ -3,16 +3,29 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import sonarjax as sj
-from sonarjax.calibrate.picture import LOOK, UNEVEN_STD, fitted, floor_elevation, make_sampling, picture
+from sonarjax.calibrate.look import LOOK
+from sonarjax.calibrate.picture import (
+    UNEVEN_STD,
+    clipped,
+    fitted,
+    floor_elevation,
+    leaking,
+    make_sampling,
+    object_layers,
+    picture,
+)
+from sonarjax.render import WindowSize
 from sonarjax.scene.pose import rotation_x, rotation_y
-from sonarjax.sensor import propagation
+from sonarjax.sensor import SensorModel, propagation
 from sonarjax.sensor.beams import beam_mixing
+from sonarjax.sensor.observe import received_energy
 
 SONAR = sj.Sonar.preset("didson-hf", tilt=math.radians(20.0), n_ranges=64)
 
@@ -37,7 +50,8 @@ def test_rays_at_the_floors_elevation_meet_the_floor(roll: float) -> None:
 def test_bare_floor_is_as_bright_as_the_simulator_has_it() -> None:
     """Energy of the floor by the vertical pattern, pulse and beams, without noise; slopes are free in the picture."""
     layers = jnp.zeros((2, 3, 64, 16))
-    look = LOOK._replace(noise=-30.0, exponent=math.log(1 - 0.02))  # energy itself
+    quiet = {"noise": -30.0, "dark": -30.0, "white": 30.0, "leak": -30.0, "streak": -30.0}
+    look = LOOK._replace(exponent=math.log(1 - 0.02), **quiet)  # energy itself
     drawn = np.asarray(picture(SONAR, look, layers, jnp.zeros(()), jnp.int32(10), 2.5)) + 1
     lit = propagation.elevation_gain(propagation.floor_elevation(SONAR), SONAR.elevation_aperture, look.skirt)
     expected = propagation.pulse_blur(lit, look.pulse) @ beam_mixing(SONAR, look.widening, 2.0).T
@@ -46,10 +60,42 @@ def test_bare_floor_is_as_bright_as_the_simulator_has_it() -> None:
 
 def test_shadow_is_dark_and_echo_is_bright() -> None:
     layers = jnp.zeros((2, 3, 64, 16)).at[0, 2, 20:30, 4:10].set(1.0).at[0, 0, 10:14, 4:10].set(0.05)
-    bare = np.asarray(picture(SONAR, LOOK, jnp.zeros_like(layers), jnp.zeros(()), jnp.int32(40), 2.5))
-    seen = np.asarray(picture(SONAR, LOOK, layers, jnp.zeros(()), jnp.int32(40), 2.5))
+    look = LOOK._replace(leak=-30.0, streak=-30.0)
+    bare = np.asarray(picture(SONAR, look, jnp.zeros_like(layers), jnp.zeros(()), jnp.int32(40), 2.5))
+    seen = np.asarray(picture(SONAR, look, layers, jnp.zeros(()), jnp.int32(40), 2.5))
     assert (seen[22:28, 46:48] < bare[22:28, 46:48]).all() and (seen[11:13, 46:48] > bare[11:13, 46:48]).all()
     np.testing.assert_allclose(seen[:, :30], bare[:, :30], atol=0.02)  # but for the beams' side lobes
+
+
+def test_the_simulators_mean_energy_is_the_pictures() -> None:
+    """With its way to mix object and floor (`rim` 1), its pulse and beams, and none of what is random or leaks."""
+    device = replace(SensorModel.nominal(0.0), tvg_exponent=3.0, tvg_absorption=1.0)
+    sonar = sj.Sonar.preset("didson-hf", tilt=math.radians(20.0))
+    mesh, pose = sj.objects.target(), sj.Pose(*(np.float32(v) for v in (2.3, 0.1, 0.7)))
+    frame = replace(sj.render(mesh, pose, propagation.with_skirts(sonar)), sonar=sonar)
+    wanted = np.asarray(received_energy(frame, device))
+    layers = object_layers(mesh, sonar, pose, jnp.zeros(3), jnp.int32(0), WindowSize(sonar.shape, sonar.n_beams))
+    look = LOOK._replace(
+        exponent=math.log(1 - 0.02), noise=-30.0, dark=-30.0, white=30.0, leak=-30.0, streak=-30.0, rim=1.0
+    )
+    drawn = np.asarray(picture(sonar, look, layers, jnp.zeros(()), jnp.int32(0), 2.5)) + 1
+    bright = wanted > 3
+    # The floor's slope in range is free in the picture: compare with bare floor at the same range.
+    floors = [np.maximum(v[:, :10].mean(axis=1, keepdims=True), 1e-9) for v in (drawn, wanted)]
+    off = np.abs(drawn / floors[0] * floors[1] / np.maximum(wanted, 1e-9) - 1)[bright]
+    assert bright.sum() > 300 and np.median(off) < 0.02 and np.percentile(off, 95) < 0.3  # rims
+
+
+def test_leak_keeps_the_energy_and_reaches_beams_nearby() -> None:
+    mixing = np.asarray(leaking(96, jnp.asarray(0.1)))
+    np.testing.assert_allclose(mixing.sum(axis=1), 1.0, rtol=1e-6)
+    np.testing.assert_allclose(np.diag(mixing), 1 / 1.1, rtol=1e-6)
+    assert mixing[40, 43] > mixing[40, 60] > 0 and mixing[40, 41] == 0
+
+
+def test_black_and_white_bound_the_energy() -> None:
+    energy = jnp.asarray([1e-6, 1.0, 1e6])
+    np.testing.assert_allclose(clipped(energy, 0.01, 100.0), [0.01, 1.0, 100.0], rtol=2e-3)
 
 
 def test_offset_factor_and_slow_changes_are_least_squares() -> None:

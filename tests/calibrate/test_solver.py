@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sonarjax.calibrate.covariance import certainty, overcounted
-from sonarjax.calibrate.picture import LOOK, LOOK_STD
+from sonarjax.calibrate.look import LOOK, LOOK_STD
 from sonarjax.calibrate.solver import BOUNCE, BOUNCE_STD, LOOKS, OWN, Blocks, Point, make_prior, solve_jointly
 
 FREE, STD = ("tilt", "height"), np.array([0.05, 0.1])
@@ -87,9 +87,17 @@ def test_information_is_the_schur_complement(linear) -> None:
     )
 
 
+def agreeing(information: np.ndarray) -> np.ndarray:
+    """Scores (frame, shared) of frames that differ as much as the `information` says."""
+    values, vectors = np.linalg.eigh(information)
+    root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+    frames = 2 * SHARED
+    return np.concatenate([root, -root]) * np.sqrt((frames - 1) / (2 * frames))
+
+
 def test_covariance_of_independent_numbers() -> None:
     information = np.diag([4 / STD[0] ** 2, 0.01 / STD[1] ** 2, *np.ones(LOOKS)])
-    known = certainty(information, STD, FREE)
+    known = certainty(information, agreeing(information), STD, FREE)
     np.testing.assert_allclose(np.sqrt(np.diag(known.covariance)) / STD, [5**-0.5, 1.01**-0.5])
     assert known.determined == {"tilt": True, "height": False}
     np.testing.assert_allclose(known.singular_values, [2.0, 0.1])
@@ -100,9 +108,18 @@ def test_numbers_that_only_a_sum_determines_are_not_determined() -> None:
     along = np.array([1 / STD[0], 1 / STD[1]])
     information = np.zeros((SHARED, SHARED))
     information[:2, :2] = 1e4 * np.outer(along, along)
-    known = certainty(information, STD, FREE)
+    known = certainty(information, agreeing(information), STD, FREE)
     assert known.determined == {"tilt": False, "height": False}
     assert known.weakest["tilt"] == pytest.approx(-known.weakest["height"], rel=1e-6)
+
+
+def test_frames_that_disagree_widen_the_covariance() -> None:
+    """With many frames and a wide prior, the covariance is that of each frame's own estimate over their number."""
+    rng = np.random.default_rng(3)
+    frames, information = 5000, np.diag([2.0, 5.0, *np.ones(LOOKS)])
+    own = rng.normal(size=(frames, SHARED)) * np.array([3.0, 0.5, *np.ones(LOOKS)])
+    known = certainty(frames * information, own @ information, np.array([1e3, 1e3]), FREE)
+    np.testing.assert_allclose(np.sqrt(np.diag(known.covariance) * frames), [3.0, 0.5], rtol=0.05)
 
 
 def test_pixels_that_err_together_are_counted_once() -> None:

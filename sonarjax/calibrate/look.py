@@ -1,0 +1,72 @@
+"""How a device shows energy: the numbers that calibration fits beside the sonar's geometry, and their priors."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+from sonarjax.sensor import SensorModel
+
+
+class Look(NamedTuple):
+    """How the device shows energy, shared by all frames; each is a number."""
+
+    gain: Any
+    """Logarithm of the object's backscatter relative to the floor's [1]."""
+    noise: Any
+    """Logarithm of the noise relative to the floor's energy [1], at the reference range."""
+    exponent: Any
+    """Logarithm of the power of energy that is stored [1]."""
+    skirt: Any
+    """How steeply the vertical pattern falls outside the aperture [dB per degree]."""
+    slope: Any
+    """Power of range by which the floor brightens [1]."""
+    noise_slope: Any
+    """Power of range by which the noise does [1]: the time-varied gain's."""
+    pulse: Any
+    """Length of the pulse [range bins], 1 to 9."""
+    widening: Any
+    """−3 dB width of a beam, in units of the sonar's own [1]."""
+    dark: Any
+    """Logarithm of the energy relative to the floor's below which all is black [1]."""
+    white: Any
+    """Logarithm of the energy relative to the floor's above which all is white [1]."""
+    rim: Any
+    """Share of the simulator's mixing of object and floor at the object's rim [1], see `picture`."""
+    leak: Any
+    """Logarithm of the energy that a beam hears of all others, relative to its own [1]."""
+    streak: Any
+    """Logarithm of the share of a glint's energy that lights its whole range row [1]."""
+
+
+class _Prior(NamedTuple):
+    start: float
+    std: float
+    trust: float
+
+
+_DEVICE = SensorModel()
+_DB = math.log(10.0) / 10
+_PRIORS = Look(
+    gain=_Prior(_DB * float(_DEVICE.object_gain), 1.0, 0.5),
+    noise=_Prior(math.log(float(_DEVICE.noise)), 2.0, 0.8),
+    exponent=_Prior(-2.0, 1.0, 0.4),
+    skirt=_Prior(float(_DEVICE.elevation_skirt), 1.5, 2.0),
+    slope=_Prior(0.0, 1.5, 0.5),
+    noise_slope=_Prior(float(_DEVICE.tvg_exponent), 1.5, 1.0),
+    pulse=_Prior(float(_DEVICE.pulse_bins), 1.0, 0.5),
+    widening=_Prior(float(_DEVICE.beam_widening), 0.3, 0.2),
+    dark=_Prior(-6.0, 3.0, 1.0),
+    white=_Prior(_DB * float(_DEVICE.gain), 1.0, 0.5),
+    rim=_Prior(0.5, 0.5, 0.5),
+    leak=_Prior(-2.5, 1.5, 0.7),
+    streak=_Prior(math.log(float(_DEVICE.streak)), 1.5, 0.7),
+)
+LOOK = Look(*(prior.start for prior in _PRIORS))
+"""Where a look starts: the nominal device's."""
+LOOK_STD = Look(*(prior.std for prior in _PRIORS))
+"""Standard deviations of its prior: the range of the devices that the package draws."""
+LOOK_TRUST = Look(*(prior.trust for prior in _PRIORS))
+"""Largest change in one iteration."""
+LEAST_EXPONENT = 0.02
+"""Least power of energy [1]: as good as a logarithm."""
