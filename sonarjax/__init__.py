@@ -19,7 +19,7 @@ from sonarjax.engine import Engine
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.match import SearchConfig, match_bank, match_positions
 from sonarjax.recognize import Recognition, Recognizer, recognize
-from sonarjax.refine import RefineConfig, YawEstimate, plan_refinement, refine_yaw
+from sonarjax.refine import PoseEstimate, RefineConfig, YawEstimate, plan_refinement, refine_pose, refine_yaw
 from sonarjax.render import (
     RenderQuality,
     SonarFrame,
@@ -38,9 +38,9 @@ from sonarjax.sonar import FloorPatch, Sonar
 __version__ = "0.1.0"
 
 __all__ = [
-    "Calibration", "Engine", "FloorPatch", "GeneratorWeights", "Mesh", "Pose", "Recognition", "Recognizer",
-    "RefineConfig", "RenderQuality", "SearchConfig", "Segmenter", "SensorModel", "Sonar", "SonarFrame",
+    "Calibration", "Engine", "FloorPatch", "GeneratorWeights", "Mesh", "Pose", "PoseEstimate", "Recognition",
+    "Recognizer", "RefineConfig", "RenderQuality", "SearchConfig", "Segmenter", "SensorModel", "Sonar", "SonarFrame",
     "SonarjaxError", "TemplateBank", "Window", "WindowSize", "YawEstimate", "calibrate", "load_segmenter",
     "match_bank", "match_positions", "objects", "observe", "plan_refinement", "plan_window", "recognize",
-    "refine_yaw", "render", "segment", "stack_meshes", "template_bank",
+    "refine_pose", "refine_yaw", "render", "segment", "stack_meshes", "template_bank",
 ]  # fmt: skip
