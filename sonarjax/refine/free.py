@@ -1,19 +1,15 @@
-"""The six numbers of a pose that refinement can free: order, largest steps, room for a leaning object."""
+"""The six numbers of a pose that refinement can free: order, units, largest steps."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.scene import Mesh, Pose
+from sonarjax.scene import Pose
 
 
 class Number(NamedTuple):
@@ -67,19 +63,3 @@ def displacements(free: Sequence[str]) -> tuple[float, ...]:
 def pose_at(start: Pose, step: Float[Array, "step"], free: Sequence[str]) -> Pose:
     """`start` moved by the first numbers of `step`, which are those of `free` [rad, m]."""
     return replace(start, **{name: getattr(start, name) + step[k] for k, name in enumerate(free)})
-
-
-def leaning_room(mesh: Mesh, lift: Any, lean: Any) -> Mesh:
-    """The mesh with the radius and the top that it has where it is lifted by `lift` [m] and leans by `lean` [rad].
-
-    Windows are sized by them; the surface stays as it is. Upright on the floor they are the mesh's own. Nothing is
-    compiled for numbers that are known.
-    """
-    traced = any(isinstance(v, jax.core.Tracer) for v in (mesh.radius, mesh.top, lift, lean))
-    array: Any = jnp if traced else np
-    radius, top = (v if traced else np.asarray(v) for v in (mesh.radius, mesh.top))
-    over = array.sin(array.clip(lean, 0.0, math.pi / 2))
-    extent = radius + array.maximum(top, 0.0) * over, top + radius * over + array.maximum(lift, 0.0)
-    # `device_put` compiles nothing.
-    wide, high = (v if traced else jax.device_put(np.asarray(v, np.float32)) for v in extent)
-    return replace(mesh, radius=wide, top=high)

@@ -10,9 +10,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import sonarjax as sj
-from sonarjax.refine.free import ALL, leaning_room
+from sonarjax.refine.free import ALL
 from sonarjax.refine.template import Subject, draw, layers_with_slope, nominal_law, paint_with_slope
 from sonarjax.render import Window
+from sonarjax.render.region import leaning_room
 
 SONAR = sj.Sonar.preset("didson-hf", tilt=math.radians(20.0), height=0.9)
 GREY = np.array([0.5, 1.0, 0.0], np.float32)
@@ -111,7 +112,7 @@ def test_nothing_is_guessed_of_an_even_image(start, size):
 
 @pytest.mark.slow
 def test_yaw_of_a_solid_of_revolution_stays_at_its_start_and_is_flagged():
-    cylinder, at = sj.objects.concrete_cylinder(sides=96), sj.Pose(2.3, 0.05, 0.0)
+    cylinder, at = sj.objects.concrete_cylinder(), sj.Pose(2.3, 0.05, 0.0)
     image = GREY[np.asarray(sj.render(cylinder, at, SONAR).labels())]
     start = sj.Pose(2.32, 0.04, 0.7)
     found = sj.refine_pose(image, cylinder, SONAR, start, free=("y", "x", "yaw"), config=CONFIG)
@@ -153,14 +154,16 @@ def test_derivatives_of_the_template_against_central_differences(truth, template
     at = jnp.array([0.0] * 6 + [0.3])
     slope = jax.jit(lambda step: paint_with_slope(subject, *layers_with_slope(subject, step), step[-1])[1])(at)
     drawn = jax.jit(lambda step: draw(subject, step))
-    # The semantic image is a share of each pixel, rough where short steps move an edge by less than a pixel.
-    angle, length = (1.5e-3, 5e-4) if views == 2 else (6e-3, 1.5e-3)
+    # The semantic image is a share of each pixel, rough where short steps move an edge by less than a pixel; the echo
+    # is the fourth root of an energy that is narrow in range, and a face that leans shows it in single bins.
+    angle, length, limit = (1.5e-3, 5e-4, 0.55) if views == 2 else (6e-3, 1.5e-3, 0.25)
     for k, name in enumerate(ALL):
         moved = (angle if UNITS[name] == "rad" else length) * jnp.eye(7)[k]
         expected = gaussian_filter(np.asarray((drawn(at + moved) - drawn(at - moved)) / (2 * moved[k])), (2.0, 0.8))
-        off = np.linalg.norm(gaussian_filter(np.asarray(slope[k]), (2.0, 0.8)) - expected) / np.linalg.norm(expected)
-        print(f"{template}, {name}: {off:.3f} off")
-        assert off < 0.3
+        ours = gaussian_filter(np.asarray(slope[k]), (2.0, 0.8))
+        off, size = np.linalg.norm(ours - expected) / np.linalg.norm(expected), (ours * expected).sum()
+        print(f"{template}, {name}: {off:.3f} off, {size / (expected**2).sum():.3f} times as large")
+        assert off < limit and size / (expected**2).sum() == pytest.approx(1.0, abs=0.2)
 
 
 @pytest.mark.slow
