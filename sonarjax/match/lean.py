@@ -20,7 +20,6 @@ from sonarjax.match.ncc import PreparedBank, match_positions, prepare_bank
 from sonarjax.match.search import MIN_VALID, Match, TargetSearch, decimated, rounded_up
 from sonarjax.render import TemplateBank, WindowSize, template_bank
 from sonarjax.scene import Mesh, Pose
-from sonarjax.scene.pose import rotation_x, rotation_y, rotation_z
 
 COLUMN_STEP, ROW_STEP = 32, 64
 """The window of a leaning object is rounded up to so many beams and range bins."""
@@ -146,4 +145,4 @@ def _stances(mesh: Mesh, free: Sequence[str], config: LeanSearchConfig) -> np.nd
 
 def _rotation(yaw: float, roll: float, pitch: float) -> np.ndarray:
     """Rotation (3, 3) as `Pose` has it."""
-    return np.asarray(rotation_z(yaw) @ rotation_y(pitch) @ rotation_x(roll), float)
+    return np.asarray(Pose(yaw=yaw, roll=roll, pitch=pitch).rotation(), float)

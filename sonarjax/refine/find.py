@@ -9,12 +9,14 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from jaxtyping import Array, Float
 
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.match import LeanSearch, LeanSearchConfig, SearchConfig, TargetSearch
 from sonarjax.refine.config import RefineConfig
 from sonarjax.refine.free import ALL, check_free
 from sonarjax.refine.pose import PoseEstimate, plan_refinement, refine_pose
+from sonarjax.refine.views import check_views, in_common
 from sonarjax.render import WindowSize
 from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS
 from sonarjax.scene import Mesh, Pose
@@ -28,6 +30,15 @@ FINDING = RefineConfig(
 """How a candidate is refined on the map, and then on the frame: bounds of a step of the bank."""
 FRAME_BLURS = (2.0, 0.7)
 """Blurs [range bins] of the refinement on the frame itself, which goes on from the map's."""
+SHAKES = {"z": 0.02, "roll": math.radians(8.0), "pitch": math.radians(8.0)}
+"""By how much the best poses are moved [m, rad] to refine them again: near the right pose there are lesser optima, some
+6° and 1 cm off."""
+SHAKEN = 2
+"""Hypotheses that are refined again from around them."""
+SAME, APART = math.radians(2.0), math.radians(20.0)
+"""Rotation within which poses are the same, and beyond which they are other hypotheses [rad]."""
+KEPT_OF_EACH = 3
+"""Hypotheses of each view from which the joint refinement of several starts."""
 
 
 class Prepared(NamedTuple):
@@ -79,10 +90,43 @@ class PoseFinder:
         found = [self.lean.find(picture, frame.mask) for picture in (frame.semantic, frame.image)]
         start = jax.tree.map(lambda *v: np.concatenate(v), *(match.poses for match in found))
         on_map = self._refined(frame.semantic, start, self.refine, frame)
-        config = replace(self.refine, blurs=FRAME_BLURS[-len(self.refine.blurs) :], template="either")
-        estimate = self._refined(frame.image, kept(on_map, start), config, frame)
-        order = np.argsort(-np.asarray(estimate.score))
-        return jax.tree.map(lambda v: v[order], estimate)
+        start = _picked(kept(on_map, start), distinct(on_map, SAME, len(np.asarray(on_map.score))))
+        first = self._refined(frame.image, start, self._on_frame(), frame)
+        best = _picked(first.pose, distinct(first, APART, SHAKEN))
+        second = self._refined(frame.image, self._shaken(best), self._on_frame(), frame)
+        found = jax.tree.map(lambda *v: np.concatenate([np.asarray(x) for x in v]), first, second)
+        order = distinct(found, SAME, len(found.score))
+        return jax.tree.map(lambda v: jax.device_put(v[order]), found)
+
+    def _shaken(self, poses: Pose) -> Pose:
+        """Poses (hypothesis · change,) around each of `poses` (hypothesis,): z, roll and pitch moved, if free."""
+        moved = []
+        for name, by in SHAKES.items():
+            if name in self.free:
+                moved += [replace(poses, **{name: getattr(poses, name) + np.float32(way * by)}) for way in (1, -1)]
+        return jax.tree.map(lambda *v: np.concatenate([np.asarray(x) for x in v]), *(moved or [poses]))
+
+    def views(
+        self, images: Any, sonar_poses: Pose, alone: Sequence[PoseEstimate] | None = None
+    ) -> PoseEstimate:  # fmt: skip
+        """The poses (hypothesis,) that views (view, range, beam) of one standing object fit together, best first.
+
+        `sonar_poses` (view,) are x, y [m] and yaw [rad] of the sonars in a common ground frame, that of the result.
+        `alone` is what the finder says of each view by itself, where that is known already.
+        Raises SonarjaxError as `refine_pose` does.
+        """
+        sonars = check_views(images, sonar_poses, Pose(), self.sonar)
+        alone = alone or [self(image) for image in np.asarray(images, np.float32)]
+        best = [_picked(found.pose, distinct(found, APART, KEPT_OF_EACH)) for found in alone]
+        starts = [in_common(pose, sonar) for pose, sonar in zip(best, sonars, strict=True)]
+        start = jax.tree.map(lambda *v: np.concatenate(v), *starts)
+        how: dict[str, Any] = {"free": self.free, "config": self._on_frame(), "window": self.window}
+        found = refine_pose(images, self.mesh, self.sonar, start, sonar_poses=sonar_poses, engine=self.engine, **how)
+        order = np.argsort(-np.asarray(found.score))
+        return jax.tree.map(lambda v: v[order], found)
+
+    def _on_frame(self) -> RefineConfig:
+        return replace(self.refine, blurs=FRAME_BLURS[-len(self.refine.blurs) :], template="either")
 
     def _refined(self, picture: np.ndarray, start: Pose, config: RefineConfig, frame: Prepared) -> PoseEstimate:
         count = start.shape[0]
@@ -98,3 +142,25 @@ def kept(estimate: PoseEstimate, start: Pose) -> Pose:
     """The refined poses; the start where refinement neither settled nor fits better."""
     better = np.asarray(estimate.converged) | np.asarray(estimate.score > estimate.start_score)
     return jax.tree.map(lambda new, old: np.where(better, np.asarray(new), np.asarray(old)), estimate.pose, start)
+
+
+def distinct(estimate: PoseEstimate, apart: float, most: int) -> np.ndarray:
+    """Numbers of the poses (hypothesis,) with the best scores, each turned by `apart` [rad] or more from all before."""
+    turns = np.asarray(_rotations(estimate.pose))
+    chosen: list[int] = []
+    for k in np.argsort(-np.asarray(estimate.score)):
+        cosines = [(np.trace(turns[k].T @ turns[other]) - 1) / 2 for other in chosen]
+        if all(cosine < math.cos(apart) for cosine in cosines):
+            chosen.append(int(k))
+        if len(chosen) == most:
+            break
+    return np.asarray(chosen)
+
+
+@jax.jit
+def _rotations(poses: Pose) -> Float[Array, "hypothesis 3 3"]:
+    return jax.vmap(Pose.rotation)(poses)
+
+
+def _picked(poses: Pose, order: np.ndarray) -> Pose:
+    return jax.tree.map(lambda v: np.asarray(v)[order], poses)

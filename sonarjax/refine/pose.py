@@ -23,6 +23,7 @@ from sonarjax.refine.objective import Problem, crop_score, make_blur
 from sonarjax.refine.solver import SETTLED_SHARE, STATIONARY_SHARE, Search, Solution, begun, coarse_to_fine
 from sonarjax.refine.template import BOUNCE_BOUNDS, VIEWS, Subject, nominal_law
 from sonarjax.refine.uncertainty import Observability, error_covariance, normal_equations, observability, prior_std
+from sonarjax.refine.views import Job, check_views, in_view, refine_jointly
 from sonarjax.render import RenderQuality, WindowSize, place_window, plan_window
 from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS, leaning_room
 from sonarjax.render.simulate import one_by_one
@@ -93,6 +94,7 @@ def refine_pose(
     mask: Any = None,
     config: RefineConfig = RefineConfig(),
     window: WindowSize | None = None,
+    sonar_poses: Pose | None = None,
     engine: Engine = PLAIN,
 ) -> PoseEstimate:
     """Refine the `free` numbers of a pose from `start` by Levenberg–Marquardt on 1 − NCC of the rendered template.
@@ -106,13 +108,50 @@ def refine_pose(
     measured. `window` is the part of the frame that is rendered: plan it with `plan_refinement` where the call is
     traced, else all of the frame is.
 
+    `sonar_poses` (view,) make the frames views (view, range, beam) of one standing object: x, y [m] and yaw [rad] of
+    each sonar in a common ground frame, in which `start` and the estimate are, a pose or an axis of hypotheses. The
+    views are then refined jointly, on the host: nothing may be traced, and nothing is `determined`.
+
     The pose has derivatives by image, mesh vertices and sonar (reverse mode; see `implicit`), provided `config.polish`
     is not 0; where `determined` is False they are zero.
 
-    Raises SonarjaxError when the shapes do not fit the sonar, or `free` holds no name, an unknown one or one twice.
+    Raises SonarjaxError when the shapes do not fit the sonar, or `free` holds no name, an unknown one or one twice; of
+    views also where `sonar_poses` are not one for each, lean, or something is traced.
     """
     names = check_free(free)
+    if sonar_poses is not None:
+        return _refine_views(image, mesh, sonar, start, names, mask, config, window, sonar_poses, engine)
     return search_pose(image, mesh, sonar, start, mask, config, window, engine, free=names, hold=True)[0]
+
+
+def _refine_views(
+    images: Any, mesh: Mesh, sonar: Sonar, start: Pose, free: tuple[str, ...], mask: Any, config: RefineConfig,
+    window: WindowSize | None, sonar_poses: Pose, engine: Engine,
+) -> PoseEstimate:  # fmt: skip
+    """`refine_pose` of several views."""
+    if is_traced(images, mask, mesh, sonar, start, sonar_poses):
+        raise SonarjaxError("sonar_poses: several views are refined on the host: nothing may be traced")
+    images, sonars = np.asarray(images, np.float32), check_views(images, sonar_poses, start, sonar)
+    weights = np.ones(images.shape, np.float32) if mask is None else np.asarray(mask, np.float32)
+    if weights.shape != images.shape:
+        raise SonarjaxError(f"mask: expected the images' shape {images.shape}, got {weights.shape}")
+    starts = jax.tree.map(lambda v: np.atleast_1d(np.asarray(v)), start)
+    places = [in_view(starts, one) for one in sonars]
+    around = jax.tree.map(lambda *v: np.concatenate(v), *places)
+    size = window or plan_refinement(mesh, sonar, around, config, free)
+    job = Job(images, weights, mesh, sonar, sonars, free, config, size, engine)
+    found = [refine_jointly(job, Pose(**{n: v[k] for n, v in vars(starts).items()})) for k in range(len(starts.x))]
+
+    def stacked(values: Sequence[Any]) -> Any:
+        whole = np.stack([np.asarray(v) for v in values])
+        return jax.device_put(whole.reshape(start.shape + whole.shape[1:]))
+
+    pose = jax.tree.map(lambda *v: stacked(v), *(one.pose for one in found))
+    fields = ("covariance", "score", "start_score", "converged", "observable", "singular_values")
+    numbers = {name: stacked([getattr(one, name) for one in found]) for name in fields}
+    turned = replace(pose, yaw=jax.device_put(np.mod(np.asarray(pose.yaw), np.float32(2 * math.pi))))
+    nothing = stacked([np.bool_(False)] * len(found))
+    return PoseEstimate(turned, determined=nothing, free=free, **numbers)
 
 
 def search_pose(
@@ -200,8 +239,7 @@ def plan_refinement(
 
 def _room(mesh: Mesh, start: Pose, lift: Any, roll: Any, pitch: Any) -> Mesh:
     """The mesh with the extent that it has at `start`, moved by so much in z [m], roll and pitch [rad] at most."""
-    lean = abs(start.roll) + roll + abs(start.pitch) + pitch
-    return leaning_room(mesh, start.z.max() + lift, lean.max())
+    return leaning_room(mesh, start.z.max() + lift, (abs(start.roll) + roll).max(), (abs(start.pitch) + pitch).max())
 
 
 def _static(config: RefineConfig, size: WindowSize, free: tuple[str, ...], hold: bool) -> dict[str, Any]:

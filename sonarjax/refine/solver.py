@@ -113,7 +113,7 @@ def coarse_to_fine(problem: Problem, search: Search) -> Solution:
         blur = jax.tree.map(lambda v: v[state.level], ladder)
         solution, first = state.solution, state.solution.renders == 0
         layers, slopes = layers_with_slope(replace(problem.subject, views=solution.views), state.step)
-        choose = partial(_best_template, problem, layers, search)
+        choose = partial(best_template, problem, layers, search)
         views, law = jax.lax.cond(first & is_echo, choose, lambda: (solution.views, solution.law))
         subject = replace(problem.subject, views=views, law=law)
         drawn, slope = paint_with_slope(subject, layers, slopes, state.step[-1])
@@ -158,7 +158,7 @@ def begun(problem: Problem, search: Search) -> Solution:
     return Solution(none, problem.weight, views, problem.subject.law, jnp.zeros(()), jnp.zeros((), jnp.int32))
 
 
-def _best_template(problem: Problem, layers: Array, search: Search) -> tuple[Int[Array, ""], EchoLaw]:
+def best_template(problem: Problem, layers: Array, search: Search) -> tuple[Int[Array, ""], EchoLaw]:
     """The template of the start's `layers`, as in `VIEWS`, and the echo's law, whose NCC with the image is largest."""
 
     def score(subject: Subject) -> Array:

@@ -89,7 +89,7 @@ def template_bank(
     if yaws.ndim != 1 or yaws.size == 0 or not np.isfinite(yaws).all():
         raise SonarjaxError(f"yaws: expected a non-empty list of finite angles [rad], got shape {yaws.shape}")
     stances = _stances(yaws, {"z": z, "roll": roll, "pitch": pitch})
-    room = leaning_room(mesh, float(stances[:, 1].max()), float(np.abs(stances[:, 2:]).sum(axis=1).max()))
+    room = leaning_room(mesh, stances[:, 1].max(), *np.abs(stances[:, 2:]).max(axis=0))
     size = size or plan_window(room, sonar, float(np.hypot(x, y)))
     place = np.float32(x), np.float32(y)
     views = _all_views(room, sonar, stances, place, size, quality, engine)

@@ -107,16 +107,18 @@ def place_window(size: WindowSize, mesh: Mesh, sonar: Sonar, x: Any, y: Any, sla
     return Window(row, jnp.clip(column, 0, sonar.n_beams - shape[1]), shape, size.object_columns)
 
 
-def leaning_room(mesh: Mesh, lift: Any, lean: Any) -> Mesh:
-    """The mesh with the radius and the top that it has where it is lifted by `lift` [m] and leans by `lean` [rad].
+def leaning_room(mesh: Mesh, lift: Any, roll: Any, pitch: Any) -> Mesh:
+    """The mesh with the radius and the top that it has where it is lifted by `lift` [m], leans by `roll`, `pitch` [rad].
 
     Windows are sized by them; the surface stays as it is. Upright on the floor they are the mesh's own. Nothing is
     compiled for numbers that are known.
     """
-    traced = any(isinstance(v, jax.core.Tracer) for v in (mesh.radius, mesh.top, lift, lean))
+    traced = any(isinstance(v, jax.core.Tracer) for v in (mesh.radius, mesh.top, lift, roll, pitch))
     array: Any = jnp if traced else np
     radius, top = (v if traced else np.asarray(v) for v in (mesh.radius, mesh.top))
-    over = array.sin(array.clip(lean, 0.0, math.pi / 2))
+    # The vertical of the mesh is turned by arccos(cos roll · cos pitch).
+    upright = array.cos(array.clip(roll, 0.0, math.pi / 2)) * array.cos(array.clip(pitch, 0.0, math.pi / 2))
+    over = array.sqrt(array.maximum(1 - upright**2, 0.0))
     extent = radius + array.maximum(top, 0.0) * over, top + radius * over + array.maximum(lift, 0.0)
     # `device_put` compiles nothing.
     wide, high = (v if traced else jax.device_put(np.asarray(v, np.float32)) for v in extent)

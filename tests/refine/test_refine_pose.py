@@ -189,11 +189,11 @@ def test_the_derivative_of_a_refined_lift_is_how_it_moves(truth, frames, size):
 def test_room_for_a_leaning_object_holds_all_of_it(truth):
     for k in range(COUNT):
         pose = pick(truth, k)
-        room = leaning_room(MESH, float(pose.z), abs(float(pose.roll)) + abs(float(pose.pitch)))
+        room = leaning_room(MESH, float(pose.z), abs(float(pose.roll)), abs(float(pose.pitch)))
         placed = np.asarray(replace(pose, x=jnp.zeros(()), y=jnp.zeros(())).to_ground(MESH.vertices))
         assert np.hypot(placed[:, 0], placed[:, 1]).max() <= float(room.radius)
         assert placed[:, 2].max() <= float(room.top)
-    flat = leaning_room(MESH, 0.0, 0.0)
+    flat = leaning_room(MESH, 0.0, 0.0, 0.0)
     assert float(flat.radius) == float(MESH.radius) and float(flat.top) == float(MESH.top)
 
 
