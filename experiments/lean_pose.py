@@ -78,7 +78,8 @@ def run(settings: Settings, job: Job) -> Report:
         raise Skipped(f"the judge needs Embree: pip install 'sonarjax[bench]' ({error})") from error
     names = {name: name for name in (*JUDGED, OWN)}
     found = job.map(lambda name: _measured(name, settings, job.seed), names, "sets")
-    return {"rows": [_row(name, views, parts[views]) for name, parts in found.items() for views in ("1", "2")]}
+    rows = [_row(name, views, parts[views]) for name, parts in found.items() for views in ("1", "2")]
+    return {"rows": rows, "per_frame": found}
 
 
 def _measured(name: str, settings: Settings, seed: int) -> dict[str, list[dict[str, Any]]]:

@@ -108,7 +108,7 @@ def place_window(size: WindowSize, mesh: Mesh, sonar: Sonar, x: Any, y: Any, sla
 
 
 def leaning_room(mesh: Mesh, lift: Any, roll: Any, pitch: Any) -> Mesh:
-    """The mesh with the radius and the top that it has where it is lifted by `lift` [m], leans by `roll`, `pitch` [rad].
+    """The mesh with the radius and the top that it has lifted by `lift` [m] and leaning by `roll` and `pitch` [rad].
 
     Windows are sized by them; the surface stays as it is. Upright on the floor they are the mesh's own. Nothing is
     compiled for numbers that are known.
