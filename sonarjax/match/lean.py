@@ -9,7 +9,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -143,6 +143,6 @@ def _stances(mesh: Mesh, free: Sequence[str], config: LeanSearchConfig) -> np.nd
     return np.asarray(found, np.float32)
 
 
-def _rotation(yaw: float, roll: float, pitch: float) -> np.ndarray:
+def _rotation(yaw: Any, roll: Any, pitch: Any) -> np.ndarray:
     """Rotation (3, 3) as `Pose` has it."""
     return np.asarray(Pose(yaw=yaw, roll=roll, pitch=pitch).rotation(), float)

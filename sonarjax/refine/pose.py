@@ -66,7 +66,7 @@ class PoseEstimate:
 
     @property
     def std(self) -> Float[Array, "*batch free"]:
-        """Standard deviations (*batch, free) of the free numbers [m, rad]."""
+        """Standard deviations (free) of the free numbers [m, rad], for each pose of the batch."""
         return jnp.sqrt(jnp.diagonal(self.covariance, axis1=-2, axis2=-1))
 
 
