@@ -29,8 +29,8 @@ from experiments.common.scores import target
 from experiments.yaw_basin import CONFIG, CONVERGED, SHARPNESS_OF, MapName, image_of, moved, target_frames
 from sonarjax.refine import plan_refinement
 from sonarjax.refine.objective import ROW_STRIDE, Blur, make_blur, normalised
+from sonarjax.refine.pose import SLACK_M
 from sonarjax.refine.template import VIEWS, Subject, draw, nominal_law
-from sonarjax.refine.yaw import SLACK_M
 from sonarjax.render import place_window
 
 LINE_STEP_DEG = 0.25  # so that central differences span half a degree, about the longest step of gradient_check

@@ -17,9 +17,17 @@ Conventions, everywhere in the package:
 from sonarjax.calibrate import Calibration, calibrate
 from sonarjax.engine import Engine
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.match import SearchConfig, match_bank, match_positions
+from sonarjax.match import LeanSearchConfig, SearchConfig, match_bank, match_positions
 from sonarjax.recognize import Recognition, Recognizer, recognize
-from sonarjax.refine import RefineConfig, YawEstimate, plan_refinement, refine_yaw
+from sonarjax.refine import (
+    PoseEstimate,
+    PoseFinder,
+    RefineConfig,
+    YawEstimate,
+    plan_refinement,
+    refine_pose,
+    refine_yaw,
+)
 from sonarjax.render import (
     RenderQuality,
     SonarFrame,
@@ -38,9 +46,9 @@ from sonarjax.sonar import FloorPatch, Sonar
 __version__ = "0.1.0"
 
 __all__ = [
-    "Calibration", "Engine", "FloorPatch", "GeneratorWeights", "Mesh", "Pose", "Recognition", "Recognizer",
-    "RefineConfig", "RenderQuality", "SearchConfig", "Segmenter", "SensorModel", "Sonar", "SonarFrame",
-    "SonarjaxError", "TemplateBank", "Window", "WindowSize", "YawEstimate", "calibrate", "load_segmenter",
-    "match_bank", "match_positions", "objects", "observe", "plan_refinement", "plan_window", "recognize",
-    "refine_yaw", "render", "segment", "stack_meshes", "template_bank",
+    "Calibration", "Engine", "FloorPatch", "GeneratorWeights", "LeanSearchConfig", "Mesh", "Pose", "PoseEstimate",
+    "PoseFinder", "Recognition", "Recognizer", "RefineConfig", "RenderQuality", "SearchConfig", "Segmenter",
+    "SensorModel", "Sonar", "SonarFrame", "SonarjaxError", "TemplateBank", "Window", "WindowSize", "YawEstimate",
+    "calibrate", "load_segmenter", "match_bank", "match_positions", "objects", "observe", "plan_refinement",
+    "plan_window", "recognize", "refine_pose", "refine_yaw", "render", "segment", "stack_meshes", "template_bank",
 ]  # fmt: skip

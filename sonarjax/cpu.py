@@ -27,8 +27,9 @@ from jax import export
 from sonarjax.engine import Engine
 from sonarjax.io.atomic import write_atomic
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.refine import Drawn, Evidence, YawEstimate
+from sonarjax.refine import Drawn, Evidence, PoseEstimate
 from sonarjax.render.bank import BankViews
+from sonarjax.scene import Pose
 
 MIN_COMPILE_SECONDS = 0.2
 """Least time to compile [s] of what is kept on disk: below it, reading a file back gains nothing."""
@@ -248,13 +249,22 @@ def _write(path: Path, program: Any) -> None:
 def _register_results() -> None:
     """Tell JAX how the records that programs return are named in its files."""
     export.register_namedtuple_serialization(BankViews, serialized_name="sonarjax.BankViews")
-    for record in (YawEstimate, Drawn, Evidence):
+    for record in (PoseEstimate, Pose, Drawn, Evidence):
         export.register_pytree_node_serialization(
             record,
             serialized_name=f"sonarjax.{record.__name__}",
-            serialize_auxdata=lambda aux: b"",
-            deserialize_auxdata=lambda data: (),
+            serialize_auxdata=_names_to_bytes,
+            deserialize_auxdata=_names_of_bytes,
         )
+
+
+def _names_to_bytes(aux: tuple[tuple[str, ...], ...]) -> bytes:
+    """A record's static fields, which hold names, as text."""
+    return "\n".join(" ".join(names) for names in aux).encode()
+
+
+def _names_of_bytes(data: bytes) -> tuple[tuple[str, ...], ...]:
+    return tuple(tuple(line.split()) for line in data.decode().splitlines())
 
 
 def _writable_folder() -> Path | None:

@@ -23,6 +23,10 @@ SIGNATURES: dict[str, tuple[list[str], set[str]]] = {
     "match_bank": (["image", "bank", "mask"], set()),
     "match_positions": (["image", "bank", "mask"], set()),
     "plan_refinement": (["mesh", "sonar", "start", "config"], set()),
+    "refine_pose": (
+        ["image", "mesh", "sonar", "start"],
+        {"free", "mask", "config", "window", "sonar_poses", "engine"},
+    ),
     "refine_yaw": (["image", "mesh", "sonar", "start"], {"mask", "config", "window", "engine"}),
     "Recognizer": (["targets", "sonar"], {"segmenter", "search", "refine", "engine"}),
     "Recognizer.__call__": (["self", "image", "mask"], {"semantic", "threshold"}),
@@ -35,6 +39,17 @@ FIELDS = {
     "SonarFrame": ["intensity", "highlight", "shadow", "lit", "overflow", "sonar"],
     "TemplateBank": ["templates", "yaws", "offset", "x", "y", "tilt"],
     "YawEstimate": ["yaw", "x", "y", "yaw_std", "score", "start_score", "converged", "determined"],
+    "PoseEstimate": [
+        "pose",
+        "covariance",
+        "score",
+        "start_score",
+        "converged",
+        "determined",
+        "observable",
+        "singular_values",
+        "free",
+    ],
     "Recognition": [
         "identified",
         "target",
@@ -80,7 +95,7 @@ def test_contract_names_are_public() -> None:
     assert [name for name in sj.__all__ if not hasattr(sj, name)] == []
 
 
-@pytest.mark.parametrize("name", ["RenderQuality", "RefineConfig", "SearchConfig", "WindowSize"])
+@pytest.mark.parametrize("name", ["LeanSearchConfig", "RenderQuality", "RefineConfig", "SearchConfig", "WindowSize"])
 def test_configs_are_frozen_and_hashable(name: str) -> None:
     config = find(name)((8, 8)) if name == "WindowSize" else find(name)()
     assert hash(config) == hash(dataclasses.replace(config))

@@ -11,8 +11,9 @@ import pytest
 
 from experiments import continuous_yaw, symmetric_objects, yaw_basin, yaw_landscape
 from sonarjax.io import SonarjaxError
+from sonarjax.refine.free import ON_FLOOR, trusts
 from sonarjax.refine.objective import make_blur
-from sonarjax.refine.solver import TRUST, _linear_step
+from sonarjax.refine.solver import _linear_step
 
 # ---------------------------------------------------------------- errors and error bars
 
@@ -59,11 +60,11 @@ def test_shares_within_a_degree_and_two():
 
 
 def test_the_loss_is_the_one_that_the_solver_minimises(rng):
-    shape = (24, 10)
+    shape, trust = (24, 10), jnp.asarray(trusts(ON_FLOOR))
     image, drawn = (jnp.asarray(rng.uniform(size=shape), jnp.float32) for _ in range(2))
-    slope = jnp.asarray(0.1 * rng.normal(size=(len(TRUST), *shape)), jnp.float32)
+    slope = jnp.asarray(0.1 * rng.normal(size=(len(trust), *shape)), jnp.float32)
     blur = make_blur(shape, 1.5)
-    _, cost = jax.jit(lambda *images: _linear_step(image, jnp.ones(shape), blur, *images, jnp.asarray(TRUST)))(
+    _, cost = jax.jit(lambda *images: _linear_step(image, jnp.ones(shape), blur, *images, trust))(
         drawn, slope
     )  # compiled: kept on disk
     assert float(yaw_landscape.loss(image, blur, drawn)) == pytest.approx(float(cost), rel=1e-4)

@@ -77,6 +77,11 @@ def refined(job: Any) -> Any:
     return found.yaw, found.x, found.y, found.score, found.start_score
 
 
+def refined_pose(job: Any) -> Any:
+    found = sj.refine_pose(job[0], BRICK, SONAR, job[1], free=("x", "z", "pitch"), config=REFINE, window=WHOLE)
+    return found.pose, found.std, found.score, found.observable
+
+
 def off(pose: sj.Pose) -> sj.Pose:
     return replace(pose, yaw=pose.yaw + 0.05)
 
@@ -129,13 +134,15 @@ CASES: dict[str, Callable[[], tuple[Callable[[Any], Any], Any]]] = {
         (images(), images()[::-1]),
     ),
     "refine_yaw": lambda: (refined, (images()[:2], off(smaller_poses))),
+    "refine_pose": lambda: (refined_pose, (images()[:2], replace(smaller_poses, z=smaller_poses.z + 0.01))),
 }
 # Each of these compiles the renderer once more.
 SLOW = {
     ("jit", "render, sonars"), ("jit", "render, meshes"), ("jit", "refine_yaw"), ("vmap", "refine_yaw"),
+    ("jit", "refine_pose"), ("vmap", "refine_pose"),
 }  # fmt: skip
 # Of the largest value: other fusions round otherwise, and a pixel of `observe` may fall into the next of 256 steps.
-TOLERANCE = {"observe": 1.1 / 255, "refine_yaw": 3e-3}
+TOLERANCE = {"observe": 1.1 / 255, "refine_yaw": 3e-3, "refine_pose": 3e-3}
 
 
 def elements(batch: Any) -> list[Any]:

@@ -271,3 +271,30 @@ def test_impossible_wishes_are_refused() -> None:
     with pytest.raises(ValueError, match="nearer than the floor"):
         cast(np.zeros((0, 3, 3)), replace(view(), range_min=0.5))
     assert (cast(np.zeros((0, 3, 3)), view()).kind == FLOOR).all()
+
+
+def test_leaning_frames_lean_float_and_are_seen_from_two_sides() -> None:
+    from scipy.spatial.transform import Rotation
+
+    from experiments.judge.leaning import LEAN_DEG, LIFT_M, leaning_frames, rotation
+
+    np.testing.assert_allclose(
+        rotation(0.7, 0.2, -0.3), Rotation.from_euler("ZYX", [0.7, -0.3, 0.2]).as_matrix(), atol=1e-12
+    )
+    first, again = (list(leaning_frames(3, 2, 20.0, True)) for _ in range(2))
+    vertices = np.asarray(objects.target().vertices, float)
+    for one, same in zip(first, again, strict=True):
+        np.testing.assert_array_equal(one.images, same.images)
+        x, y, z, yaw, roll, pitch = one.pose
+        assert np.degrees(max(abs(roll), abs(pitch))) <= LEAN_DEG
+        lowest = (vertices @ rotation(yaw, roll, pitch).T)[:, 2].min() + z
+        assert 0 <= lowest <= LIFT_M
+        # Both sonars have the object 2.2 to 2.4 m away, near their axis, and look at it from 90° apart.
+        for sonar in one.sonars:
+            c, s = np.cos(sonar[2]), np.sin(sonar[2])
+            ahead, aside = c * (x - sonar[0]) + s * (y - sonar[1]), c * (y - sonar[1]) - s * (x - sonar[0])
+            assert 2.19 < math.hypot(ahead, aside) < 2.41 and abs(math.atan2(aside, ahead)) < math.radians(4.01)
+        assert one.sonars[1, 2] - one.sonars[0, 2] == pytest.approx(math.pi / 2)
+        assert np.abs(one.images[0] - one.images[1]).mean() > 0.01
+    off = next(leaning_frames(3, 1, 20.0, False))
+    assert np.abs(off.images - first[0].images).mean() > 1e-3

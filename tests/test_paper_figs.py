@@ -27,7 +27,7 @@ PROJECT = Path(__file__).resolve().parent.parent
 SHAPE = (512, 96)
 SEGMENTERS = ("pix2pix", "none")
 WANTED = [*(f"fig{k:02}" for k in range(1, 9)), "tab03", "tab04", "sec32", "sec43", "sec44"]
-OWN = 12  # at least so many figures of our own
+OWN = 13  # at least so many figures of our own
 PAPER = {
     "tab03": [np.mean([0.6837, 0.7697, 0.5776, 0.7162]), 0.0, 0.5715],
     "tab04": [np.mean([0.5972, 0.6446, 0.4726, 0.5735]), 0.4709],
@@ -180,6 +180,13 @@ def make_turntable(runs: Path, rng: np.random.Generator) -> None:
     finish(runs, "real_turntable", turntable(rng, "recognize", "tight crop", "fixed window"))
 
 
+def make_poses(runs: Path, rng: np.random.Generator) -> None:
+    names = "judge", "judge, geometry known", "own simulator (validation)"
+    found = {n: {v: [row(rng, "cm", "deg") for _ in range(4)] for v in ("1", "2")} for n in names}
+    rows = [row(rng, "mean_cm", "mean_deg", name=n, views=v) for n in names for v in ("1", "2")]
+    finish(runs, "lean_pose", {"rows": rows, "per_frame": found})
+
+
 def make_thresholds(runs: Path, rng: np.random.Generator, preset: str = "full") -> None:
     rows = [row(rng, *fit_threshold.HEADS, segmenter="pix2pix", threshold=0.7654)]
     finish(runs, "fit_threshold", {"rows": rows}, preset=preset)
@@ -189,7 +196,15 @@ def make_thresholds(runs: Path, rng: np.random.Generator, preset: str = "full") 
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder, rng = tmp_path_factory.mktemp("runs"), np.random.default_rng(0)
     make_bench(folder)
-    for make in (make_scenes, make_reproduction, make_yaws, make_ablations, make_segmenters, make_turntable):
+    for make in (
+        make_scenes,
+        make_reproduction,
+        make_yaws,
+        make_ablations,
+        make_segmenters,
+        make_turntable,
+        make_poses,
+    ):
         make(folder, rng)
     return folder
 

@@ -4,5 +4,6 @@ Nothing here imports the package's renderer, sensor, data, segmenter, matcher or
 is ever trained on these frames, and no constant here was chosen by how well anything recognizes them.
 
 `view` the true geometry → `raycast` what rays meet → `echoes`, `ground` mean powers → `sensor`, `display` the stored
-frame; `labels` its true classes; `device` what differs between devices and tanks; `frames` the sets.
+frame; `labels` its true classes; `device` what differs between devices and tanks; `frames` the sets;
+`leaning` objects that lean and float, seen from two sides.
 """

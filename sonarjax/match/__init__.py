@@ -5,6 +5,7 @@ records. `TargetSearch` holds the banks of one target at all distances.
 """
 
 from sonarjax.match.decision import Decision, Peaks, between_bins, decide, peaks
+from sonarjax.match.lean import LeanMatch, LeanSearch, LeanSearchConfig
 from sonarjax.match.ncc import (
     MatchPositions,
     PreparedBank,
@@ -18,6 +19,9 @@ from sonarjax.match.spectra import TemplateSpectra, template_spectra
 
 __all__ = [
     "Decision",
+    "LeanMatch",
+    "LeanSearch",
+    "LeanSearchConfig",
     "Match",
     "MatchPositions",
     "Peaks",

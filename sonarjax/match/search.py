@@ -105,7 +105,7 @@ class TargetSearch:
         Raises SonarjaxError when no part of the target can be seen at any distance.
         """
         every, masked = self.config.coarse_every, mask is not None
-        small = self._decimated(image), None if mask is None else self._decimated(mask.astype(np.float32)) == 1
+        small = decimated(image, self.config.decimation), self._small_mask(mask)
         indices = [k for k in range(0, len(self.distances), every) if self._bank(k, True, masked) is not None]
         if not indices:
             raise SonarjaxError(f"{self.name}: at no distance inside the sonar's view is any part of it visible")
@@ -151,7 +151,7 @@ class TargetSearch:
             if not coarse:
                 return _Entry(bank, prepare_bank(bank, self.sonar.shape, masked=masked))
             frame = self.sonar.n_ranges // config.decimation, self.sonar.n_beams
-            templates = _rounded_up(self._decimated(np.asarray(bank.templates)), frame)
+            templates = rounded_up(decimated(np.asarray(bank.templates), config.decimation), frame)
             return _Entry(bank, prepare_bank(templates, frame, masked=masked))
         except SonarjaxError:
             return None
@@ -170,12 +170,15 @@ class TargetSearch:
         scale = self.config.decimation if coarse else 1
         return Match(entry.bank, scores, scale * int(row[best]) - top, int(column[best]) - left)
 
-    def _decimated(self, image: np.ndarray) -> np.ndarray:
-        """Means of neighbouring range bins (..., range / decimation, beam)."""
-        step = self.config.decimation
-        rows = image.shape[-2] // step
-        groups = image[..., : rows * step, :].reshape(*image.shape[:-2], rows, step, image.shape[-1])
-        return groups.mean(axis=-2)
+    def _small_mask(self, mask: np.ndarray | None) -> np.ndarray | None:
+        return None if mask is None else decimated(mask.astype(np.float32), self.config.decimation) == 1
+
+
+def decimated(image: np.ndarray, step: int) -> np.ndarray:
+    """Means of `step` neighbouring range bins (..., range / step, beam)."""
+    rows = image.shape[-2] // step
+    groups = image[..., : rows * step, :].reshape(*image.shape[:-2], rows, step, image.shape[-1])
+    return groups.mean(axis=-2)
 
 
 _floor_point = jax.jit(floor_point)
@@ -189,7 +192,7 @@ def _bank_window(mesh: Mesh, sonar: Sonar, nearest: float) -> WindowSize:
     return WindowSize((sonar.n_ranges, columns), beams)
 
 
-def _rounded_up(templates: np.ndarray, frame: tuple[int, int]) -> np.ndarray:
+def rounded_up(templates: np.ndarray, frame: tuple[int, int]) -> np.ndarray:
     """Coarse templates (yaw, h, w) with background added behind and to port: few shapes, so few to be compiled."""
     sizes = zip(templates.shape[1:], frame, strict=True)
     return np.pad(templates, ((0, 0), *((0, min(-n % 32, most - n)) for n, most in sizes)), constant_values=0.5)

@@ -6,16 +6,22 @@ import math
 from dataclasses import dataclass
 
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.refine.free import ALL
 from sonarjax.refine.template import VIEWS, Template
 from sonarjax.render import RenderQuality
 
 
 @dataclass(frozen=True)
 class RefineConfig:
-    """How `refine_yaw` searches. Only `quality`, the number of blurs and whether it polishes decide compiled code."""
+    """How `refine_pose` and `refine_yaw` search.
+
+    Only `quality`, the number of blurs and whether it polishes decide compiled code.
+    """
 
     bounds: tuple[float, float, float] = (math.radians(40.0), 0.15, 0.15)
     """Largest change of yaw [rad], x [m] and y [m] from the start."""
+    lean_bounds: tuple[float, float, float] = (0.06, math.radians(15.0), math.radians(15.0))
+    """Largest change of z [m], roll and pitch [rad], where `refine_pose` frees them."""
     blurs: tuple[float, ...] = (8.0, 2.0, 0.8)
     """Standard deviations of the blur in range bins, coarse to fine: the coarse ones widen the basin."""
     iterations: int = 4
@@ -42,6 +48,8 @@ class RefineConfig:
             raise SonarjaxError(f"template: expected one of {', '.join(VIEWS)}, got {self.template!r}")
         if len(self.bounds) != 3 or not all(0 < v < math.inf for v in self.bounds):
             raise SonarjaxError(f"bounds: expected three positive numbers [rad, m, m], got {self.bounds}")
+        if len(self.lean_bounds) != 3 or not all(0 < v < math.inf for v in self.lean_bounds):
+            raise SonarjaxError(f"lean_bounds: expected three positive numbers [m, rad, rad], got {self.lean_bounds}")
         if not self.blurs or not all(0 < v < math.inf for v in self.blurs):
             raise SonarjaxError(f"blurs: expected positive numbers of range bins, got {self.blurs}")
         if self.iterations < 1 or self.polish < 0 or not 0 <= self.sharpness < math.inf:
@@ -49,3 +57,7 @@ class RefineConfig:
                 "RefineConfig: expected iterations of 1 or more, polish and sharpness of 0 or more, got "
                 f"{self.iterations}, {self.polish} and {self.sharpness}"
             )
+
+    def bound(self, name: str) -> float:
+        """Largest change of a number of the pose [rad or m]."""
+        return dict(zip(ALL, (*self.bounds, *self.lean_bounds), strict=True))[name]

@@ -15,12 +15,12 @@ import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float
 
+from sonarjax.refine.free import displacements
 from sonarjax.refine.objective import Blur, Problem, misfit
 
-STEPS = (6e-3, 1.5e-3, 1.5e-3, 2e-2)
-"""Displacements of the differences: yaw [rad], x, y [m] and a bounce's energy [1]."""
 LEAST_CURVATURE = 1e-3
-"""Least eigenvalue of the Hessian in units of STEPS, as a share of its largest: below it nothing is determined."""
+"""Least eigenvalue of the Hessian in units of the displacements, as a share of its largest: below it nothing is
+determined."""
 
 
 def hessian(problem: Problem, blur: Blur, step: Float[Array, "step"]) -> Float[Array, "step step"]:
@@ -31,16 +31,18 @@ def hessian(problem: Problem, blur: Blur, step: Float[Array, "step"]) -> Float[A
             jnp.eye(len(step))
         )
 
-    ahead = jnp.diag(jnp.asarray(STEPS))
+    away = jnp.asarray(displacements(problem.subject.free))
+    ahead = jnp.diag(away)
     slopes = jax.lax.map(gradient, jnp.concatenate([step + ahead, step - ahead]))
     up, down = slopes[: len(step)], slopes[len(step) :]
-    rows = (up - down) / (2 * jnp.asarray(STEPS)[:, None])
+    rows = (up - down) / (2 * away[:, None])
     return (rows + rows.T) / 2
 
 
-def is_minimum(curvature: Float[Array, "step step"], free: Bool[Array, "step"]) -> Bool[Array, ""]:
-    """True where the misfit bends upwards clearly in every `free` direction."""
-    scale = jnp.asarray(STEPS)
+def is_minimum(
+    curvature: Float[Array, "step step"], free: Bool[Array, "step"], scale: Float[Array, "step"]
+) -> Bool[Array, ""]:
+    """True where the misfit bends upwards clearly in every `free` direction, in units of `scale` (step,)."""
     scaled = curvature * scale[:, None] * scale
     most = jnp.abs(jnp.where(free, jnp.diag(scaled), 0.0)).max()
     # What is held fast gets the largest curvature, so that it does not count.
@@ -75,7 +77,7 @@ def _backward(kept: Any, wanted: Float[Array, "step"]) -> Any:
     usable = determined & jnp.isfinite(direction).all()
     direction = jnp.where(usable, direction, 0.0)
     # The mixed derivative along `direction`, as the difference of two gradients by θ.
-    size = jnp.maximum(jnp.abs(direction / jnp.asarray(STEPS)).max(), 1e-12)
+    size = jnp.maximum(jnp.abs(direction / jnp.asarray(displacements(problem.subject.free))).max(), 1e-12)
     shift = direction / size
 
     leaves, tree = jax.tree.flatten(problem)

@@ -74,7 +74,7 @@ def compare(
 
 
 def misfit(problem: Problem, blur: Blur, step: Float[Array, "step"], reverse: bool = False) -> Float[Array, ""]:
-    """1 − NCC of the blurred images at `step` [rad, m, m, 1] from the start: what refinement minimises.
+    """1 − NCC of the blurred images at `step` [rad, m, 1] from the start: what refinement minimises.
 
     With `reverse` it can be differentiated by reverse mode too (see `draw`).
     """

@@ -16,10 +16,10 @@ from jax.lax import stop_gradient
 from jaxopt import LevenbergMarquardt
 from jaxtyping import Array, Bool, Float, Int
 
+from sonarjax.refine.free import trusts
 from sonarjax.refine.objective import ROW_STRIDE, Blur, Problem, box_around, crop_score, make_blur, normalised
 from sonarjax.refine.template import (
     EITHER,
-    POSE,
     VIEWS,
     EchoLaw,
     Subject,
@@ -30,8 +30,6 @@ from sonarjax.refine.template import (
     semantic_template,
 )
 
-TRUST = (0.12, 0.02, 0.02, 0.2)
-"""Largest step in yaw [rad], x, y [m] and a bounce's energy that is believed."""
 INNER_STEPS = 4
 SETTLED_SHARE = 0.02
 """Of the trust region: after a smaller step the next blur is begun, or the search ends."""
@@ -46,7 +44,7 @@ class Search(NamedTuple):
     """How one problem is searched: numbers only (of NumPy, or traced), so that all searches share compiled code."""
 
     bounds: Any
-    """Least and largest step (2, step): yaw [rad], x, y [m] and a bounce's energy [1]."""
+    """Least and largest step (2, step): the free numbers [rad, m] and a bounce's energy [1]."""
     blurs: Any
     """Standard deviations (blur,) of the blurs [range bins], coarse to fine."""
     iterations: Any
@@ -63,7 +61,7 @@ class Found(NamedTuple):
     cost: Float[Array, ""]
     """1 − NCC of the blurred images; infinite where nothing could be compared."""
     step: Float[Array, "step"]
-    """Yaw [rad], x [m] and y [m] from the start, and the bounce's energy for the echo."""
+    """The free numbers [rad, m] from the start, and the bounce's energy for the echo."""
     template: Float[Array, "range beam"]
     """What is rendered there, see `draw`."""
     labels: Float[Array, "range beam"]
@@ -106,21 +104,23 @@ def coarse_to_fine(problem: Problem, search: Search) -> Solution:
     shape = (problem.image.shape[0], problem.image.shape[1])
     last = len(search.blurs) - 1
     ladder = jax.vmap(lambda sigma: make_blur(shape, sigma))(search.blurs)
-    trust = jnp.asarray(TRUST)
+    trust = jnp.asarray(trusts(problem.subject.free))
+    # A number that may not move takes no part.
+    movable = jnp.where(search.bounds[1] > search.bounds[0], trust, 0.0)
     is_echo = problem.subject.views != VIEWS["semantic"]
 
     def iterate(state: _State) -> _State:
         blur = jax.tree.map(lambda v: v[state.level], ladder)
         solution, first = state.solution, state.solution.renders == 0
         layers, slopes = layers_with_slope(replace(problem.subject, views=solution.views), state.step)
-        choose = partial(_best_template, problem, layers, search)
+        choose = partial(best_template, problem, layers, search)
         views, law = jax.lax.cond(first & is_echo, choose, lambda: (solution.views, solution.law))
         subject = replace(problem.subject, views=views, law=law)
-        drawn, slope = paint_with_slope(subject, layers, slopes, state.step[POSE])
+        drawn, slope = paint_with_slope(subject, layers, slopes, state.step[-1])
         # Here rather than before the loop, which would compile the renderer twice.
         weight = jnp.where(first, problem.weight * box_around(drawn, problem.margin), solution.weight)
         start_score = crop_score(problem.image, drawn, problem.weight, search.score_margin)
-        change, cost = _linear_step(problem.image, weight, blur, drawn, slope, trust)
+        change, cost = _linear_step(problem.image, weight, blur, drawn, slope, movable)
         here = Found(cost, state.step, drawn, semantic_template(layers), slope, change / trust)
         finest = state.level == last
         better = finest & (cost < solution.best.cost)
@@ -141,19 +141,24 @@ def coarse_to_fine(problem: Problem, search: Search) -> Solution:
             ),
         )
 
-    start = jnp.clip(jnp.zeros(len(trust)), *search.bounds)
-    dark, flat = jnp.zeros(shape), jnp.zeros((len(start), *shape))
-    none = Found(jnp.asarray(jnp.inf), start, dark, dark, flat, jnp.ones_like(start))
-    zero = jnp.zeros((), jnp.int32)
-    # Both templates are painted from the echo's views.
-    views = jnp.where(is_echo, VIEWS["echo"], VIEWS["semantic"])
-    begun = Solution(none, problem.weight, views, problem.subject.law, jnp.zeros(()), zero)
+    first, zero = begun(problem, search), jnp.zeros((), jnp.int32)
     return jax.lax.while_loop(
-        lambda state: ~state.done, iterate, _State(zero, zero, start, jnp.zeros((), bool), begun)
+        lambda state: ~state.done, iterate, _State(zero, zero, first.best.step, jnp.zeros((), bool), first)
     ).solution
 
 
-def _best_template(problem: Problem, layers: Array, search: Search) -> tuple[Int[Array, ""], EchoLaw]:
+def begun(problem: Problem, search: Search) -> Solution:
+    """A search before its first render."""
+    shape = (problem.image.shape[0], problem.image.shape[1])
+    start = jnp.clip(jnp.zeros(len(problem.subject.free) + 1), *search.bounds)
+    dark, flat = jnp.zeros(shape), jnp.zeros((len(start), *shape))
+    none = Found(jnp.asarray(jnp.inf), start, dark, dark, flat, jnp.ones_like(start))
+    # Both templates are painted from the echo's views.
+    views = jnp.where(problem.subject.views != VIEWS["semantic"], VIEWS["echo"], VIEWS["semantic"])
+    return Solution(none, problem.weight, views, problem.subject.law, jnp.zeros(()), jnp.zeros((), jnp.int32))
+
+
+def best_template(problem: Problem, layers: Array, search: Search) -> tuple[Int[Array, ""], EchoLaw]:
     """The template of the start's `layers`, as in `VIEWS`, and the echo's law, whose NCC with the image is largest."""
 
     def score(subject: Subject) -> Array:

@@ -12,7 +12,8 @@ from sonarjax.engine import Engine
 from sonarjax.match import Match, TargetSearch, between_bins, peaks
 from sonarjax.refine.config import RefineConfig
 from sonarjax.refine.evidence import Evidence, gather_evidence
-from sonarjax.refine.yaw import Drawn, YawEstimate, refine_and_draw, refine_yaw
+from sonarjax.refine.pose import Drawn
+from sonarjax.refine.yaw import YawEstimate, refine_and_draw, refine_yaw
 from sonarjax.render import WindowSize
 from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS
 from sonarjax.scene import Pose

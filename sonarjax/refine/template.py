@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from sonarjax.records import record, static
+from sonarjax.refine.free import ON_FLOOR, pose_at
 from sonarjax.render import RenderQuality, Window, floor_angle, render_echo, semantic_image
 from sonarjax.scene import Mesh, Pose
 from sonarjax.sensor import SensorModel
@@ -30,8 +31,8 @@ VIEWS: dict[str, int] = {"semantic": 1, "echo": 2, "either": EITHER}
 """How many views of the object each template takes; EITHER until a search has chosen."""
 BOUNCE_BOUNDS: dict[str, tuple[float, float]] = {"semantic": (0.0, 0.0), "echo": (0.0, 1.0), "either": (0.0, 1.0)}
 """Bounds of the energy that a bounce on the floor leaves [1], which is fitted with yaw, x and y."""
-POSE = 3
-"""Numbers of a step that move the object: yaw, x and y. The bounce's energy follows them."""
+POSE = len(ON_FLOOR)
+"""Numbers of the usual step that move the object: yaw, x and y. The bounce's energy follows them."""
 BACKGROUND = 0.5  # of the semantic image
 GAINS_DB, NOISES, EXPONENTS = (2.0, 8.0, 14.0), (0.03, 0.2), (0.06, 0.25, 0.5)
 """Gains [dB], noises and exponents that are tried in all combinations."""
@@ -75,7 +76,7 @@ class Subject:
     sonar: Sonar
     """What looks at it."""
     start: Pose
-    """Where the search starts; its z, roll and pitch are kept."""
+    """Where the search starts; what is not `free` is kept."""
     window: Window
     """Which part of the frame is drawn."""
     sharpness: Float[Array, ""]
@@ -86,6 +87,8 @@ class Subject:
     """How the echo is stored."""
     quality: RenderQuality = static()
     """How finely it is rendered."""
+    free: tuple[str, ...] = static(default=ON_FLOOR)
+    """The numbers of the pose that a step holds, in the order of `free.NUMBERS`."""
 
 
 def labelled(share: Float[Array, "*batch"], sharpness: Float[Array, ""]) -> Float[Array, "*batch"]:
@@ -99,29 +102,27 @@ def labelled(share: Float[Array, "*batch"], sharpness: Float[Array, ""]) -> Floa
     return jnp.where(sharpness > 0, rescaled, share)
 
 
-def pose_at(start: Pose, step: Float[Array, "step"]) -> Pose:
-    """`start` moved by `step` = (yaw [rad], x [m], y [m], ...)."""
-    return Pose(start.x + step[1], start.y + step[2], start.yaw + step[0], start.z, start.roll, start.pitch)
-
-
 def draw(subject: Subject, step: Float[Array, "step"], reverse: bool = False) -> Float[Array, "range beam"]:
     """The window's template at `step` from the start, as what it differs from the bare floor's grey value.
 
-    `step` is yaw [rad], x and y [m], and the energy that a bounce on the floor leaves [1], for the echo. By forward
-    mode it is differentiated as it is; with `reverse` also by reverse mode, at the price of both views every time.
+    `step` is the free numbers of the pose [rad, m], and the energy that a bounce on the floor leaves [1], for the echo.
+    By forward mode it is differentiated as it is; with `reverse` also by reverse mode, at the price of both views every
+    time.
     """
-    return paint(subject, render_layers(subject, step[:POSE], reverse), step[POSE])
+    count = len(subject.free)
+    return paint(subject, render_layers(subject, step[:count], reverse), step[count])
 
 
 def layers_with_slope(
     subject: Subject, step: Float[Array, "step"]
 ) -> tuple[Float[Array, "view layer range beam"], Float[Array, "pose view layer range beam"]]:
-    """`render_layers` and its derivatives by yaw, x and y (forward mode)."""
+    """`render_layers` and its derivatives by each free number of the pose (forward mode)."""
+    count = len(subject.free)
 
     def render(pose: Array) -> Array:
         return render_layers(subject, pose)
 
-    return jax.vmap(lambda along: jax.jvp(render, (step[:POSE],), (along,)), out_axes=(None, 0))(jnp.eye(POSE))
+    return jax.vmap(lambda along: jax.jvp(render, (step[:count],), (along,)), out_axes=(None, 0))(jnp.eye(count))
 
 
 def paint_with_slope(
@@ -129,7 +130,7 @@ def paint_with_slope(
 ) -> tuple[Float[Array, "range beam"], Float[Array, "step range beam"]]:
     """`paint` and its derivatives by each number of a step: the pose's from the layers' `slopes`, and the bounce's."""
     slopes = jnp.concatenate([slopes, jnp.zeros_like(slopes[:1])])
-    by_bounce = jnp.eye(len(slopes))[POSE]
+    by_bounce = jnp.eye(len(slopes))[-1]
 
     def along(slope: Array, bounce_slope: Array) -> tuple[Array, Array]:
         return jax.jvp(lambda drawn, energy: paint(subject, drawn, energy), (layers, bounce), (slope, bounce_slope))
@@ -140,11 +141,11 @@ def paint_with_slope(
 def render_layers(
     subject: Subject, step: Float[Array, "pose"], reverse: bool = False
 ) -> Float[Array, "view layer range beam"]:
-    """Echo, highlight and shadow of the object at `step` (yaw [rad], x, y [m]), and of its mirror image in the floor.
+    """Echo, highlight and shadow of the object at `step` (pose,) [rad, m], and of its mirror image in the floor.
 
     The mirror image is left dark where the template takes one view. `reverse` as in `draw`.
     """
-    views = _views(subject, pose_at(subject.start, step))
+    views = _views(subject, pose_at(subject.start, step, subject.free))
 
     def seen(view: Any) -> Array:
         vertices, faces, lift, height, aperture = view

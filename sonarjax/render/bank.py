@@ -14,7 +14,15 @@ from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.records import record
 from sonarjax.render.frame import RenderQuality
-from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS, WindowSize, image_azimuth, place_window, plan_window
+from sonarjax.render.region import (
+    MARGIN_BEAMS,
+    MARGIN_BINS,
+    WindowSize,
+    image_azimuth,
+    leaning_room,
+    place_window,
+    plan_window,
+)
 from sonarjax.render.simulate import with_enough_room
 from sonarjax.render.window import render_window
 from sonarjax.scene import Mesh, Pose
@@ -60,6 +68,9 @@ def template_bank(
     *,
     x: float,
     y: float = 0.0,
+    z: Any = 0.0,
+    roll: Any = 0.0,
+    pitch: Any = 0.0,
     quality: RenderQuality = BANK_QUALITY,
     margin: tuple[int, int] = (MARGIN_BINS, MARGIN_BEAMS),
     size: WindowSize | None = None,
@@ -67,16 +78,21 @@ def template_bank(
 ) -> TemplateBank:
     """Render the object at (x, y) [m] at each of `yaws` (yaw,) [rad], cropped to one box with a `margin` (bins, beams).
 
+    `z` [m], `roll` and `pitch` [rad] are those of all templates, or of each (yaw,).
+
     A host function. Views are rendered one after another in a window around the object, so memory grows only with the
     templates; `size` is that window's, so that banks at several places share compiled code.
-    Raises SonarjaxError when `yaws` is empty or not finite, or the object is outside the sonar's view.
+    Raises SonarjaxError when `yaws` is empty or not finite, when z, roll or pitch are not finite or fit no `yaws`, or
+    the object is outside the sonar's view.
     """
     yaws = np.atleast_1d(np.asarray(yaws, np.float32))
     if yaws.ndim != 1 or yaws.size == 0 or not np.isfinite(yaws).all():
         raise SonarjaxError(f"yaws: expected a non-empty list of finite angles [rad], got shape {yaws.shape}")
-    size = size or plan_window(mesh, sonar, float(np.hypot(x, y)))
+    stances = _stances(yaws, {"z": z, "roll": roll, "pitch": pitch})
+    room = leaning_room(mesh, stances[:, 1].max(), *np.abs(stances[:, 2:]).max(axis=0))
+    size = size or plan_window(room, sonar, float(np.hypot(x, y)))
     place = np.float32(x), np.float32(y)
-    views = _all_views(mesh, sonar, yaws, place, size, quality, engine)
+    views = _all_views(room, sonar, stances, place, size, quality, engine)
     images, (row, column) = views.images, views.corner
     box = _touched_box(images)
     if box is None:
@@ -88,6 +104,14 @@ def template_bank(
     offset = np.array([row + top, column + left], np.int32)
     # `device_put` compiles nothing, where `jnp.asarray` compiles a copy for every shape.
     return TemplateBank(*(jax.device_put(v) for v in (crop, yaws, offset, *place, np.float32(sonar.tilt))))
+
+
+def _stances(yaws: np.ndarray, others: dict[str, Any]) -> np.ndarray:
+    """Yaw, z, roll and pitch of each template (yaw, 4). Raises SonarjaxError where they do not fit."""
+    for name, value in others.items():
+        if np.shape(value) not in ((), yaws.shape) or not np.isfinite(np.asarray(value)).all():
+            raise SonarjaxError(f"{name}: expected a finite number or one for each of {len(yaws)} yaws")
+    return np.stack([yaws, *(np.broadcast_to(np.asarray(v, np.float32), yaws.shape) for v in others.values())], axis=1)
 
 
 class BankViews(NamedTuple):
@@ -102,17 +126,18 @@ class BankViews(NamedTuple):
 
 
 def _all_views(
-    mesh: Mesh, sonar: Sonar, yaws: np.ndarray, place: Any, size: WindowSize, quality: RenderQuality, engine: Engine
+    mesh: Mesh, sonar: Sonar, stances: np.ndarray, place: Any, size: WindowSize, quality: RenderQuality, engine: Engine
 ) -> BankViews:
     """The views in parts of VIEWS, so that banks of any length share compiled code; the last part repeats its last."""
-    parts = -(-len(yaws) // VIEWS)
-    padded = np.concatenate([yaws, np.full(parts * VIEWS - len(yaws), yaws[-1])]).reshape(parts, VIEWS)
+    parts = -(-len(stances) // VIEWS)
+    filler = np.repeat(stances[-1:], parts * VIEWS - len(stances), axis=0)
+    padded = np.concatenate([stances, filler]).reshape(parts, VIEWS, -1)
 
     def render_part(mesh: Mesh) -> BankViews:
         found = engine.map(
             lambda part: engine.run(_render_views, mesh, sonar, part, *place, size=size, quality=quality), padded
         )
-        images = np.concatenate([np.asarray(part.images) for part in found])[: len(yaws)]
+        images = np.concatenate([np.asarray(part.images) for part in found])[: len(stances)]
         row, column = (int(v) for v in found[0].corner)
         return BankViews(images, (row, column), np.max([part.overflow for part in found]))
 
@@ -121,15 +146,15 @@ def _all_views(
 
 @partial(jax.jit, static_argnames=("size", "quality"))
 def _render_views(
-    mesh: Mesh, sonar: Sonar, yaws: Array, x: Any, y: Any, *, size: WindowSize, quality: RenderQuality
+    mesh: Mesh, sonar: Sonar, stances: Array, x: Any, y: Any, *, size: WindowSize, quality: RenderQuality
 ) -> BankViews:
     window = place_window(size, mesh, sonar, x, y)
 
-    def one(yaw: Array) -> tuple[Array, Array]:
-        frame = render_window(mesh, Pose(x, y, yaw), sonar, window, quality)
+    def one(stance: Array) -> tuple[Array, Array]:
+        frame = render_window(mesh, Pose(x, y, *stance), sonar, window, quality)
         return frame.semantic(), frame.overflow
 
-    images, overflow = jax.lax.map(one, jnp.asarray(yaws))
+    images, overflow = jax.lax.map(one, jnp.asarray(stances))
     return BankViews(images, (window.row, window.column), overflow.max())
 
 

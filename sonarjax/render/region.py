@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -104,6 +105,24 @@ def place_window(size: WindowSize, mesh: Mesh, sonar: Sonar, x: Any, y: Any, sla
     column = jnp.searchsorted(jnp.asarray(sonar.azimuth), bearing).astype(jnp.int32) - shape[1] // 2
     row = jnp.clip(row, 0, sonar.n_ranges - shape[0])
     return Window(row, jnp.clip(column, 0, sonar.n_beams - shape[1]), shape, size.object_columns)
+
+
+def leaning_room(mesh: Mesh, lift: Any, roll: Any, pitch: Any) -> Mesh:
+    """The mesh with the radius and the top that it has lifted by `lift` [m] and leaning by `roll` and `pitch` [rad].
+
+    Windows are sized by them; the surface stays as it is. Upright on the floor they are the mesh's own. Nothing is
+    compiled for numbers that are known.
+    """
+    traced = any(isinstance(v, jax.core.Tracer) for v in (mesh.radius, mesh.top, lift, roll, pitch))
+    array: Any = jnp if traced else np
+    radius, top = (v if traced else np.asarray(v) for v in (mesh.radius, mesh.top))
+    # The vertical of the mesh is turned by arccos(cos roll · cos pitch).
+    upright = array.cos(array.clip(roll, 0.0, math.pi / 2)) * array.cos(array.clip(pitch, 0.0, math.pi / 2))
+    over = array.sqrt(array.maximum(1 - upright**2, 0.0))
+    extent = radius + array.maximum(top, 0.0) * over, top + radius * over + array.maximum(lift, 0.0)
+    # `device_put` compiles nothing.
+    wide, high = (v if traced else jax.device_put(np.asarray(v, np.float32)) for v in extent)
+    return replace(mesh, radius=wide, top=high)
 
 
 def image_azimuth(x: Any, y: Any, sonar: Sonar) -> Any:

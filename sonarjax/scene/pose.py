@@ -58,8 +58,11 @@ class Pose:
 
     def to_ground(self, vertices: Float[Array, "vertex 3"]) -> Float[Array, "vertex 3"]:
         """Vertices (vertex, 3) [m] of the mesh frame, moved to the ground frame [m]; for one pose."""
-        rotation = rotation_z(self.yaw) @ rotation_y(self.pitch) @ rotation_x(self.roll)
-        return vertices @ rotation.T + jnp.stack([self.x, self.y, self.z])
+        return vertices @ self.rotation().T + jnp.stack([self.x, self.y, self.z])
+
+    def rotation(self) -> Float[Array, "3 3"]:
+        """Rotation matrix (3, 3) from the mesh frame to the ground frame; for one pose."""
+        return rotation_z(self.yaw) @ rotation_y(self.pitch) @ rotation_x(self.roll)
 
 
 def _spread_out(value: Any, shape: tuple[int, ...]) -> Any:

@@ -117,3 +117,20 @@ def test_bank_place_is_where_the_object_stands(bank):
     row = (slant - float(SONAR.range_min)) / float(SONAR.range_bin) - bank.offset[0]
     column = int(np.searchsorted(np.asarray(SONAR.azimuth_edges), azimuth)) - 1 - bank.offset[1]
     assert 0 < row < bank.templates.shape[1] and 0 < column < bank.templates.shape[2]
+
+
+def test_a_leaning_template_is_a_crop_of_its_frame():
+    sonar = Sonar.preset("didson-hf", tilt=math.radians(20.0), n_ranges=128)
+    mesh, z, roll, pitch = objects.target(), np.array([0.0, 0.06]), np.array([0.0, 0.2]), np.array([0.0, -0.15])
+    yaws = np.array([0.4, 2.0], np.float32)
+    bank = template_bank(mesh, sonar, yaws, x=2.3, z=z, roll=roll, pitch=pitch)
+    top, left = np.asarray(bank.offset)
+    height, width = bank.templates.shape[1:]
+    for k in range(2):
+        pose = Pose(2.3, 0.0, yaws[k], z[k], roll[k], pitch[k])
+        frame = render(mesh, pose, sonar, quality=RenderQuality(sub_beams=1)).semantic()
+        inside = np.asarray(frame)[top : top + height, left : left + width]
+        np.testing.assert_allclose(bank.templates[k], inside, atol=2e-4)
+        assert np.abs(np.asarray(frame) - 0.5).sum() == pytest.approx(np.abs(inside - 0.5).sum(), rel=1e-4)
+    with pytest.raises(SonarjaxError, match="roll: expected a finite number or one for each of 2 yaws"):
+        template_bank(mesh, sonar, yaws, x=2.3, roll=np.zeros(3))

@@ -1,0 +1,148 @@
+"""Which way an object leans: a bank over yaw, roll, pitch and lift at the distance at which the upright one matched.
+
+An upright template is enough to find the place: the correlation falls with lean, but not everywhere alike.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.match.ncc import PreparedBank, match_positions, prepare_bank
+from sonarjax.match.search import MIN_VALID, Match, TargetSearch, decimated, rounded_up
+from sonarjax.render import TemplateBank, WindowSize, template_bank
+from sonarjax.scene import Mesh, Pose
+
+COLUMN_STEP, ROW_STEP = 32, 64
+"""The window of a leaning object is rounded up to so many beams and range bins."""
+
+
+@dataclass(frozen=True)
+class LeanSearchConfig:
+    """Which poses of a leaning or lifted object are tried."""
+
+    yaw_bins: int = 24
+    """Yaws over the full circle."""
+    lean: float = math.radians(10.0)
+    """Roll and pitch are tried at 0 and at ± so much [rad], where they are free."""
+    lifts: tuple[float, ...] = (0.01, 0.04)
+    """Heights of the lowest point above the floor [m] that are tried, where z is free; else it is 0."""
+    candidates: int = 6
+    """Poses that are kept, at most."""
+    apart: float = math.radians(25.0)
+    """Least rotation between two of them [rad]."""
+
+    def __post_init__(self) -> None:
+        """Raises SonarjaxError for counts below 1, no lift, or angles that are not positive."""
+        if min(self.yaw_bins, self.candidates) < 1 or not self.lifts:
+            raise SonarjaxError(f"LeanSearchConfig: expected counts of 1 or more and a lift, got {self}")
+        if not (0 < self.lean < math.pi / 2 and 0 < self.apart < math.pi):
+            raise SonarjaxError(f"LeanSearchConfig: expected lean and apart to be positive angles, got {self}")
+
+
+class LeanMatch(NamedTuple):
+    """Poses that match best, best first."""
+
+    poses: Pose
+    """(candidate,) where and how the object may be."""
+    scores: Float[np.ndarray, "candidate"]
+    """NCC (eq. 4) of each."""
+
+
+class _Bank(NamedTuple):
+    """A bank at one distance, ready to be matched."""
+
+    bank: TemplateBank
+    prepared: PreparedBank
+
+
+class LeanSearch:
+    """The banks of leaning poses of one target, for one sonar: rendered when a frame first needs them."""
+
+    def __init__(
+        self, search: TargetSearch, free: Sequence[str], config: LeanSearchConfig = LeanSearchConfig()
+    ) -> None:
+        """`search` finds the place; of z, roll and pitch those in `free` are tried."""
+        self.search, self.config = search, config
+        self.stances = _stances(search.mesh, free, config)
+        self._banks: dict[tuple[int, bool], _Bank] = {}
+
+    def find(self, image: np.ndarray, mask: np.ndarray | None = None) -> LeanMatch:
+        """The poses that match `image` (range, beam) best; only pixels where `mask` is true count.
+
+        Raises SonarjaxError when no part of the target can be seen at any distance.
+        """
+        search, step = self.search, self.search.config.decimation
+        place = search.place(search.find(np.asarray(image, np.float32), mask))
+        index = int(np.argmin(np.abs(search.distances - math.hypot(*place))))
+        entry = self._bank(index, mask is not None)
+        small = None if mask is None else decimated(mask.astype(np.float32), step) == 1
+        found = match_positions(decimated(image, step), entry.prepared, small, min_valid=MIN_VALID, whole=True)
+        scores, rows, columns = jax.device_get((found.scores, found.row, found.col))
+        top, left = (int(v) for v in np.asarray(entry.bank.offset))
+        kept = self._distinct(scores)
+        poses = []
+        for k in kept:
+            match = Match(entry.bank, scores, step * int(rows[k]) - top, int(columns[k]) - left)
+            x, y = search.place(match)
+            yaw, z, roll, pitch = self.stances[k]
+            # A bank's aspect is relative to the bearing it was rendered at.
+            poses.append((x, y, yaw + math.atan2(y, x), z, roll, pitch))
+        return LeanMatch(Pose(*np.asarray(poses, np.float32).T), np.asarray(scores)[kept])
+
+    def _bank(self, index: int, masked: bool) -> _Bank:
+        """The bank at distance number `index`, or at the next one at which the object is in view."""
+        if (index, masked) not in self._banks:
+            search, step = self.search, self.search.config.decimation
+            yaws, z, roll, pitch = self.stances.T
+            bank = template_bank(
+                search.mesh, search.sonar, yaws, x=float(search.distances[index]), z=z, roll=roll, pitch=pitch,
+                size=self._window(), quality=search.config.quality, engine=search.engine,
+            )  # fmt: skip
+            frame = search.sonar.n_ranges // step, search.sonar.n_beams
+            templates = rounded_up(decimated(np.asarray(bank.templates), step), frame)
+            self._banks[index, masked] = _Bank(bank, prepare_bank(templates, frame, masked=masked))
+        return self._banks[index, masked]
+
+    def _window(self) -> WindowSize:
+        """All ranges and beams, as the place is anywhere: only the object's beams cost anything."""
+        sonar = self.search.sonar
+        return WindowSize(sonar.shape, sonar.n_beams)
+
+    def _distinct(self, scores: np.ndarray) -> list[int]:
+        """The templates with the best `scores` (template,), each turned by `apart` or more from those before it."""
+        turns = np.stack([_rotation(*stance) for stance in self.stances[:, [0, 2, 3]]])
+        kept: list[int] = []
+        for k in np.argsort(-scores):
+            cosines = [(np.trace(turns[k].T @ turns[other]) - 1) / 2 for other in kept]
+            if all(cosine < math.cos(self.config.apart) for cosine in cosines):
+                kept.append(int(k))
+            if len(kept) == self.config.candidates:
+                break
+        return kept
+
+
+def _stances(mesh: Mesh, free: Sequence[str], config: LeanSearchConfig) -> np.ndarray:
+    """Yaw [rad], z [m], roll and pitch [rad] of each template (template, 4)."""
+    yaws = np.arange(config.yaw_bins) * (2 * math.pi / config.yaw_bins)
+    rolls, pitches = ((0.0, -config.lean, config.lean) if name in free else (0.0,) for name in ("roll", "pitch"))
+    lifts = config.lifts if "z" in free else (0.0,)
+    vertices, found = np.asarray(mesh.vertices, float), []
+    for roll, pitch in itertools.product(rolls, pitches):
+        # With z free the lowest point is at each lift, as the object leans.
+        lowest = (vertices @ _rotation(0.0, roll, pitch).T)[:, 2].min() if "z" in free else 0.0
+        found += [(yaw, lift - lowest, roll, pitch) for lift in lifts for yaw in yaws]
+    return np.asarray(found, np.float32)
+
+
+def _rotation(yaw: Any, roll: Any, pitch: Any) -> np.ndarray:
+    """Rotation (3, 3) as `Pose` has it."""
+    return np.asarray(Pose(yaw=yaw, roll=roll, pitch=pitch).rotation(), float)

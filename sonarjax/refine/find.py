@@ -1,0 +1,166 @@
+"""`PoseFinder`: the whole pose of a known object in a frame, from nothing: banks over lean, then `refine_pose`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Array, Float
+
+from sonarjax.engine import PLAIN, Engine
+from sonarjax.match import LeanSearch, LeanSearchConfig, SearchConfig, TargetSearch
+from sonarjax.refine.config import RefineConfig
+from sonarjax.refine.free import ALL, check_free
+from sonarjax.refine.pose import PoseEstimate, plan_refinement, refine_pose
+from sonarjax.refine.views import check_views, in_common
+from sonarjax.render import WindowSize
+from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS
+from sonarjax.scene import Mesh, Pose
+from sonarjax.segment import DEFAULT_SEGMENTER, Segmenter, load_segmenter
+from sonarjax.sonar import Sonar
+
+FINDING = RefineConfig(
+    bounds=(math.radians(20.0), 0.08, 0.08), lean_bounds=(0.06, math.radians(15.0), math.radians(15.0)),
+    blurs=(3.0, 1.0), iterations=6, polish=0, margin=(MARGIN_BINS, MARGIN_BEAMS), sharpness=0.0,
+)  # fmt: skip
+"""How a candidate is refined on the map, and then on the frame: bounds of a step of the bank."""
+FRAME_BLURS = (2.0, 0.7)
+"""Blurs [range bins] of the refinement on the frame itself, which goes on from the map's."""
+SHAKES = {"z": 0.02, "roll": math.radians(8.0), "pitch": math.radians(8.0)}
+"""By how much the best poses are moved [m, rad] to refine them again: near the right pose there are lesser optima, some
+6° and 1 cm off."""
+SHAKEN = 2
+"""Hypotheses that are refined again from around them."""
+SAME, APART = math.radians(2.0), math.radians(20.0)
+"""Rotation within which poses are the same, and beyond which they are other hypotheses [rad]."""
+KEPT_OF_EACH = 3
+"""Hypotheses of each view from which the joint refinement of several starts."""
+
+
+class Prepared(NamedTuple):
+    """A frame as it is searched."""
+
+    image: np.ndarray
+    """The frame (range, beam)."""
+    semantic: np.ndarray
+    """Its map (range, beam)."""
+    mask: np.ndarray | None
+    """True (range, beam) where a pixel was measured."""
+
+
+class PoseFinder:
+    """One target and one sonar, with the banks over lean that were rendered for them so far: call it with frames."""
+
+    def __init__(
+        self, mesh: Mesh, sonar: Sonar, *, free: Sequence[str] = ALL, segmenter: str | Segmenter = DEFAULT_SEGMENTER,
+        search: SearchConfig = SearchConfig(), lean: LeanSearchConfig = LeanSearchConfig(),
+        refine: RefineConfig = FINDING, engine: Engine = PLAIN,
+    ) -> None:  # fmt: skip
+        """`free` are the numbers that are not 0 for sure; banks go over those of z, roll and pitch among them.
+
+        Raises SonarjaxError as `Recognizer` and `refine_pose` do.
+        """
+        self.free, self.refine, self.engine = check_free(free), refine, engine
+        self.sonar = sonar.replace(geometry_std=None)
+        self.mesh = mesh
+        self.segmenter = segmenter if isinstance(segmenter, Segmenter) else load_segmenter(segmenter)
+        self.lean = LeanSearch(TargetSearch(mesh, self.sonar, search, engine=engine), self.free, lean)
+        nearest = Pose(x=float(self.lean.search.distances[0]), z=max(lean.lifts), roll=lean.lean, pitch=lean.lean)
+        self.window: WindowSize = plan_refinement(mesh, self.sonar, nearest, refine, self.free)
+
+    def __call__(self, image: Any, mask: Any = None) -> PoseEstimate:
+        """The poses (hypothesis,) at which the target may be in `image` (range, beam), best first.
+
+        `mask` (range, beam) is true where a pixel was measured. Raises SonarjaxError for a shape that does not fit.
+        """
+        return self.hypotheses(self.prepared(image, mask))
+
+    def prepared(self, image: Any, mask: Any = None) -> Prepared:
+        """The frame (range, beam) and its map. Raises SonarjaxError for a shape that does not fit the sonar."""
+        image = np.asarray(image, np.float32)
+        mask = None if mask is None else np.asarray(mask, bool)
+        return Prepared(image, np.asarray(self.segmenter.semantic(image, mask, self.engine)), mask)
+
+    def hypotheses(self, frame: Prepared) -> PoseEstimate:
+        """The poses (hypothesis,) at which the target may be, best first: matched and refined on map and frame."""
+        found = [self.lean.find(picture, frame.mask) for picture in (frame.semantic, frame.image)]
+        start = jax.tree.map(lambda *v: np.concatenate(v), *(match.poses for match in found))
+        on_map = self._refined(frame.semantic, start, self.refine, frame)
+        start = _picked(kept(on_map, start), distinct(on_map, SAME, len(np.asarray(on_map.score))))
+        first = self._refined(frame.image, start, self._on_frame(), frame)
+        best = _picked(first.pose, distinct(first, APART, SHAKEN))
+        second = self._refined(frame.image, self._shaken(best), self._on_frame(), frame)
+        found = jax.tree.map(lambda *v: np.concatenate([np.asarray(x) for x in v]), first, second)
+        order = distinct(found, SAME, len(found.score))
+        return jax.tree.map(lambda v: jax.device_put(v[order]), found)
+
+    def _shaken(self, poses: Pose) -> Pose:
+        """Poses (hypothesis · change,) around each of `poses` (hypothesis,): z, roll and pitch moved, if free."""
+        moved = []
+        for name, by in SHAKES.items():
+            if name in self.free:
+                moved += [replace(poses, **{name: getattr(poses, name) + np.float32(way * by)}) for way in (1, -1)]
+        return jax.tree.map(lambda *v: np.concatenate([np.asarray(x) for x in v]), *(moved or [poses]))
+
+    def views(
+        self, images: Any, sonar_poses: Pose, alone: Sequence[PoseEstimate] | None = None
+    ) -> PoseEstimate:  # fmt: skip
+        """The poses (hypothesis,) that views (view, range, beam) of one standing object fit together, best first.
+
+        `sonar_poses` (view,) are x, y [m] and yaw [rad] of the sonars in a common ground frame, that of the result.
+        `alone` is what the finder says of each view by itself, where that is known already.
+        Raises SonarjaxError as `refine_pose` does.
+        """
+        sonars = check_views(images, sonar_poses, Pose(), self.sonar)
+        alone = alone or [self(image) for image in np.asarray(images, np.float32)]
+        best = [_picked(found.pose, distinct(found, APART, KEPT_OF_EACH)) for found in alone]
+        starts = [in_common(pose, sonar) for pose, sonar in zip(best, sonars, strict=True)]
+        start = jax.tree.map(lambda *v: np.concatenate(v), *starts)
+        how: dict[str, Any] = {"free": self.free, "config": self._on_frame(), "window": self.window}
+        found = refine_pose(images, self.mesh, self.sonar, start, sonar_poses=sonar_poses, engine=self.engine, **how)
+        order = np.argsort(-np.asarray(found.score))
+        return jax.tree.map(lambda v: v[order], found)
+
+    def _on_frame(self) -> RefineConfig:
+        return replace(self.refine, blurs=FRAME_BLURS[-len(self.refine.blurs) :], template="either")
+
+    def _refined(self, picture: np.ndarray, start: Pose, config: RefineConfig, frame: Prepared) -> PoseEstimate:
+        count = start.shape[0]
+        pictures = np.broadcast_to(picture, (1, *picture.shape))
+        starts = jax.tree.map(lambda v: np.asarray(v).reshape(1, count), start)
+        mask = None if frame.mask is None else frame.mask[None]
+        how: dict[str, Any] = {"free": self.free, "mask": mask, "config": config, "window": self.window}
+        found = refine_pose(pictures, self.mesh, self.sonar, starts, engine=self.engine, **how)
+        return jax.tree.map(lambda v: v[0], found)
+
+
+def kept(estimate: PoseEstimate, start: Pose) -> Pose:
+    """The refined poses; the start where refinement neither settled nor fits better."""
+    better = np.asarray(estimate.converged) | np.asarray(estimate.score > estimate.start_score)
+    return jax.tree.map(lambda new, old: np.where(better, np.asarray(new), np.asarray(old)), estimate.pose, start)
+
+
+def distinct(estimate: PoseEstimate, apart: float, most: int) -> np.ndarray:
+    """Numbers of the poses (hypothesis,) with the best scores, each turned by `apart` [rad] or more from all before."""
+    turns = np.asarray(_rotations(estimate.pose))
+    chosen: list[int] = []
+    for k in np.argsort(-np.asarray(estimate.score)):
+        cosines = [(np.trace(turns[k].T @ turns[other]) - 1) / 2 for other in chosen]
+        if all(cosine < math.cos(apart) for cosine in cosines):
+            chosen.append(int(k))
+        if len(chosen) == most:
+            break
+    return np.asarray(chosen)
+
+
+@jax.jit
+def _rotations(poses: Pose) -> Float[Array, "hypothesis 3 3"]:
+    return jax.vmap(Pose.rotation)(poses)
+
+
+def _picked(poses: Pose, order: np.ndarray) -> Pose:
+    return jax.tree.map(lambda v: np.asarray(v)[order], poses)

@@ -1,0 +1,65 @@
+"""The six numbers of a pose that refinement can free: order, units, largest steps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+from jaxtyping import Array, Float
+
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.scene import Pose
+
+
+class Number(NamedTuple):
+    """One number of a pose."""
+
+    trust: float
+    """Largest step that is believed [unit]."""
+    displacement: float
+    """Displacement of central differences [unit], longer than the roughness that pixels give the objective."""
+    unit: str
+    """rad or m."""
+
+
+NUMBERS: dict[str, Number] = {
+    "yaw": Number(0.12, 6e-3, "rad"),
+    "x": Number(0.02, 1.5e-3, "m"),
+    "y": Number(0.02, 1.5e-3, "m"),
+    "z": Number(0.02, 1.5e-3, "m"),
+    "roll": Number(0.12, 6e-3, "rad"),
+    "pitch": Number(0.12, 6e-3, "rad"),
+}
+"""What may be free, in the order in which every result has them."""
+ON_FLOOR = ("yaw", "x", "y")
+"""What is free of an object that stands on the floor: `refine_yaw`'s numbers."""
+ALL = tuple(NUMBERS)
+"""All six."""
+BOUNCE = Number(0.2, 2e-2, "1")
+"""The energy that a bounce on the floor leaves: it is fitted beside the pose, and follows its numbers in a step."""
+
+
+def check_free(free: Sequence[str]) -> tuple[str, ...]:
+    """The names in the order of `NUMBERS`. Raises SonarjaxError for none, an unknown name, or one given twice."""
+    names = [free] if isinstance(free, str) else list(free)
+    unknown = [name for name in names if name not in NUMBERS]
+    if unknown or not names or len(set(names)) < len(names):
+        what = f"unknown {unknown[0]!r}" if unknown else f"got {names}"
+        raise SonarjaxError(f"free: expected different names of: {', '.join(NUMBERS)}; {what}")
+    return tuple(name for name in NUMBERS if name in names)
+
+
+def trusts(free: Sequence[str]) -> tuple[float, ...]:
+    """Largest step of each `free` number, and of the bounce's energy."""
+    return *(NUMBERS[name].trust for name in free), BOUNCE.trust
+
+
+def displacements(free: Sequence[str]) -> tuple[float, ...]:
+    """Displacements of central differences by each `free` number, and by the bounce's energy."""
+    return *(NUMBERS[name].displacement for name in free), BOUNCE.displacement
+
+
+def pose_at(start: Pose, step: Float[Array, "step"], free: Sequence[str]) -> Pose:
+    """`start` moved by the first numbers of `step`, which are those of `free` [rad, m]."""
+    return replace(start, **{name: getattr(start, name) + step[k] for k, name in enumerate(free)})

@@ -1,0 +1,361 @@
+"""`refine_pose`: any of a pose's six numbers, by differentiating the rendered template (beyond the paper)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from sonarjax.engine import PLAIN, Engine
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.records import record, static
+from sonarjax.refine.config import RefineConfig
+from sonarjax.refine.free import ON_FLOOR, check_free, displacements, pose_at, trusts
+from sonarjax.refine.implicit import attach, hessian, is_minimum, without_gradient
+from sonarjax.refine.objective import Problem, crop_score, make_blur
+from sonarjax.refine.solver import SETTLED_SHARE, STATIONARY_SHARE, Search, Solution, begun, coarse_to_fine
+from sonarjax.refine.template import BOUNCE_BOUNDS, VIEWS, Subject, nominal_law
+from sonarjax.refine.uncertainty import Observability, error_covariance, normal_equations, observability, prior_std
+from sonarjax.refine.views import Job, check_views, in_view, refine_jointly
+from sonarjax.render import RenderQuality, WindowSize, place_window, plan_window
+from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS, leaning_room
+from sonarjax.render.simulate import one_by_one
+from sonarjax.scene import Mesh, Pose
+from sonarjax.sonar import Sonar
+
+SLACK_M = 0.06
+"""Room around the start inside the window [m]."""
+INSIDE = 0.98
+"""Share of the bounds inside which a solution is an interior one."""
+
+
+@record
+class PoseEstimate:
+    """A refined pose; every field has the batch shape of the starts, and none is ever NaN."""
+
+    pose: Pose
+    """All six numbers [m, rad]; yaw in [0, 2π). What is not free, or not observable, is the start's."""
+    covariance: Float[Array, "*batch free free"]
+    """Covariance of the free numbers' errors [m, rad], in the order of `free`, given the right basin.
+
+    From the curvature and the residuals of each beam; on labels of a render standard deviations have the size of the
+    errors, and errors that neighbouring beams share make them too small. Of a number that is not observable it is that
+    of the bounds, and its share in the others' errors is counted. Infinite where nothing could be compared."""
+    score: Float[Array, "*batch"]
+    """NCC (eq. 4) of the refined template, over its own box with the bank's margin; 0 where there is none."""
+    start_score: Float[Array, "*batch"]
+    """NCC of the start's template, over its own box with the same margin."""
+    converged: Bool[Array, "*batch"]
+    """True when the last step was small and the result is inside its bounds."""
+    determined: Bool[Array, "*batch"]
+    """True when it is polished to an interior minimum, and so has a derivative; without polishing always False."""
+    observable: Bool[Array, "*batch free"]
+    """Whether the frame determines each free number: at most half of its prior's standard deviation is left, where it
+    may lie anywhere within its bounds beforehand. `refine_pose` puts others back to their start."""
+    singular_values: Float[Array, "*batch free"]
+    """Of what the frame tells about the free numbers, in units of these priors, largest first."""
+    free: tuple[str, ...] = static(default=ON_FLOOR)
+    """The free numbers, in the order yaw, x, y, z, roll, pitch."""
+
+    @property
+    def std(self) -> Float[Array, "*batch free"]:
+        """Standard deviations (free) of the free numbers [m, rad], for each pose of the batch."""
+        return jnp.sqrt(jnp.diagonal(self.covariance, axis1=-2, axis2=-1))
+
+
+@record
+class Drawn:
+    """What was drawn at the solutions, each in its own window of the frame."""
+
+    template: Float[Array, "*batch row column"]
+    """The template that was fitted, as what it differs from the bare floor."""
+    labels: Float[Array, "*batch row column"]
+    """The semantic template, less the background's 0.5."""
+    row: Int[Array, "*batch"]
+    """First range bin of the window."""
+    column: Int[Array, "*batch"]
+    """First beam of the window."""
+
+
+def refine_pose(
+    image: Any,
+    mesh: Mesh,
+    sonar: Sonar,
+    start: Pose,
+    *,
+    free: Sequence[str] = ON_FLOOR,
+    mask: Any = None,
+    config: RefineConfig = RefineConfig(),
+    window: WindowSize | None = None,
+    sonar_poses: Pose | None = None,
+    engine: Engine = PLAIN,
+) -> PoseEstimate:
+    """Refine the `free` numbers of a pose from `start` by Levenberg–Marquardt on 1 − NCC of the rendered template.
+
+    `free` are any of yaw, x, y, z, roll and pitch; the others stay as the start has them. A free number that the frame
+    does not determine (`observable`) is put back to its start, and the others are refined once more without it.
+
+    `image` (range, beam) is the semantic image, or any grey one in which highlight is brighter than shadow; with a
+    leading batch axis, `start` holds one pose a frame. A start whose fields have one more axis holds several
+    hypotheses a frame, and the estimate keeps that axis. `mask`, of the image's shape, is true where a pixel was
+    measured. `window` is the part of the frame that is rendered: plan it with `plan_refinement` where the call is
+    traced, else all of the frame is.
+
+    `sonar_poses` (view,) make the frames views (view, range, beam) of one standing object: x, y [m] and yaw [rad] of
+    each sonar in a common ground frame, in which `start` and the estimate are, a pose or an axis of hypotheses. The
+    views are then refined jointly, on the host: nothing may be traced, and nothing is `determined`.
+
+    The pose has derivatives by image, mesh vertices and sonar (reverse mode; see `implicit`), provided `config.polish`
+    is not 0; where `determined` is False they are zero.
+
+    Raises SonarjaxError when the shapes do not fit the sonar, or `free` holds no name, an unknown one or one twice; of
+    views also where `sonar_poses` are not one for each, lean, or something is traced.
+    """
+    names = check_free(free)
+    if sonar_poses is not None:
+        return _refine_views(image, mesh, sonar, start, names, mask, config, window, sonar_poses, engine)
+    return search_pose(image, mesh, sonar, start, mask, config, window, engine, free=names, hold=True)[0]
+
+
+def _refine_views(
+    images: Any, mesh: Mesh, sonar: Sonar, start: Pose, free: tuple[str, ...], mask: Any, config: RefineConfig,
+    window: WindowSize | None, sonar_poses: Pose, engine: Engine,
+) -> PoseEstimate:  # fmt: skip
+    """`refine_pose` of several views."""
+    if is_traced(images, mask, mesh, sonar, start, sonar_poses):
+        raise SonarjaxError("sonar_poses: several views are refined on the host: nothing may be traced")
+    images, sonars = np.asarray(images, np.float32), check_views(images, sonar_poses, start, sonar)
+    weights = np.ones(images.shape, np.float32) if mask is None else np.asarray(mask, np.float32)
+    if weights.shape != images.shape:
+        raise SonarjaxError(f"mask: expected the images' shape {images.shape}, got {weights.shape}")
+    starts = jax.tree.map(lambda v: np.atleast_1d(np.asarray(v)), start)
+    places = [in_view(starts, one) for one in sonars]
+    around = jax.tree.map(lambda *v: np.concatenate(v), *places)
+    size = window or plan_refinement(mesh, sonar, around, config, free)
+    job = Job(images, weights, mesh, sonar, sonars, free, config, size, engine)
+    found = [refine_jointly(job, Pose(**{n: v[k] for n, v in vars(starts).items()})) for k in range(len(starts.x))]
+
+    def stacked(values: Sequence[Any]) -> Any:
+        whole = np.stack([np.asarray(v) for v in values])
+        return jax.device_put(whole.reshape(start.shape + whole.shape[1:]))
+
+    pose = jax.tree.map(lambda *v: stacked(v), *(one.pose for one in found))
+    fields = ("covariance", "score", "start_score", "converged", "observable", "singular_values")
+    numbers = {name: stacked([getattr(one, name) for one in found]) for name in fields}
+    turned = replace(pose, yaw=jax.device_put(np.mod(np.asarray(pose.yaw), np.float32(2 * math.pi))))
+    nothing = stacked([np.bool_(False)] * len(found))
+    return PoseEstimate(turned, determined=nothing, free=free, **numbers)
+
+
+def search_pose(
+    image: Any, mesh: Mesh, sonar: Sonar, start: Pose, mask: Any, config: RefineConfig, window: WindowSize | None,
+    engine: Engine, *, free: tuple[str, ...], hold: bool,
+) -> tuple[PoseEstimate, Drawn]:  # fmt: skip
+    """As `refine_pose`, with what was drawn at the solutions.
+
+    `hold` puts back what the frame does not determine; without it nobody looks, and nothing counts as observable.
+    """
+    traced = is_traced(image, mask, mesh, sonar, start)
+    array = jnp if traced else np  # on the host NumPy cuts and joins without compiling anything
+    image = array.asarray(image, np.float32)
+    if image.ndim not in (2, 3) or image.shape[-2:] != sonar.shape:
+        raise SonarjaxError(f"image: expected shape {sonar.shape} (range, beam) of the sonar, got {image.shape}")
+    weight = array.ones(image.shape, np.float32) if mask is None else array.asarray(mask, np.float32)
+    if weight.shape != image.shape:
+        raise SonarjaxError(f"mask: expected the image's shape {image.shape}, got {weight.shape}")
+    frames, axes = image.ndim - 2, start.shape
+    if len(axes) not in (frames, frames + 1) or axes[:frames] != image.shape[:frames]:
+        raise SonarjaxError(f"start: expected one pose (or one axis of poses) for each image, got shape {axes}")
+    size = window or plan_refinement(mesh, sonar, start, config, free)
+    # One long list of frames and starts.
+    starts = jax.tree.map(lambda v: array.asarray(v).reshape(-1), start)
+    count = math.prod(axes)
+    which = np.arange(count) // max(count // max(math.prod(axes[:frames]), 1), 1)
+    images, weights = (v.reshape(-1, *sonar.shape) for v in (image, weight))
+    settings = _settings(config, free)
+    static = _static(config, size, free, hold)
+    if traced:
+        jobs = images[which], weights[which], starts
+        found = one_by_one(lambda job: _refine(*job[:2], mesh, sonar, job[2], *settings, **static), jobs)
+        return jax.tree.map(lambda v: v.reshape((*axes, *v.shape[1:])), found)
+
+    def job(k: int) -> tuple[PoseEstimate, Drawn]:
+        begin = jax.tree.map(lambda v: v[k], starts)
+        done = engine.run(_refine, images[which[k]], weights[which[k]], mesh, sonar, begin, *settings, **static)
+        return jax.tree.map(np.asarray, done)
+
+    found = engine.map(job, range(count))
+    return jax.tree.map(lambda *v: jax.device_put(np.stack(v).reshape((*axes, *v[0].shape))), *found)
+
+
+def prepare_refinement(
+    mesh: Mesh, sonar: Sonar, start: Pose, config: RefineConfig, engine: Engine, window: WindowSize | None = None,
+    free: tuple[str, ...] = ON_FLOOR,
+) -> None:  # fmt: skip
+    """Have `engine` compile the refinement of one start of frames of this sonar, before there is a frame."""
+    image = np.zeros(sonar.shape, np.float32)
+    begin = jax.tree.map(np.asarray, start)
+    size = window or plan_refinement(mesh, sonar, start, config, free)
+    settings = _settings(config, free)
+    engine.prepare(_refine, image, image, mesh, sonar, begin, *settings, **_static(config, size, free, False))
+
+
+def is_traced(*trees: Any) -> bool:
+    """True where a leaf of these pytrees is being traced: a function around this one is compiled or differentiated."""
+    return any(isinstance(v, jax.core.Tracer) for v in jax.tree.leaves(trees))
+
+
+def plan_refinement(
+    mesh: Mesh, sonar: Sonar, start: Pose, config: RefineConfig, free: Sequence[str] = ON_FLOOR
+) -> WindowSize:
+    """Size of the window that refinement renders, for starts [m, rad] of any shape; a host function.
+
+    The window is large enough for the object and its shadow at each start, however it is turned, `SLACK_M` around it
+    included; lifted and leaning as the start is, and as far as the bounds of `free` z, roll and pitch let it. The
+    object itself touches no more than the planned beams while x and y stay within the bounds. Where tracing hides the
+    places, the mesh or the sonar, it is the whole frame.
+    """
+    if is_traced(start, sonar, mesh):
+        return WindowSize(sonar.shape, sonar.n_beams)
+    bounds = [config.bound(name) if name in free else 0.0 for name in ("z", "roll", "pitch")]
+    room = _room(mesh, jax.tree.map(np.asarray, start), *bounds)
+    ground = np.hypot(np.asarray(start.x), np.asarray(start.y))
+    nearest = max(float(ground.min()) - max(config.bounds[1:]), 0.0)
+    shapes = [plan_window(room, sonar, float(g), SLACK_M).shape for g in (ground.min(), ground.max())]
+    rows, columns = max(s[0] for s in shapes), max(s[1] for s in shapes)
+    # Coarse steps: compiling the solver for another window costs far more than a few empty pixels.
+    shape = min(-(-rows // 128) * 128, sonar.n_ranges), min(-(-columns // 32) * 32, sonar.n_beams)
+    beams = plan_window(room, sonar, nearest).object_columns
+    assert beams is not None
+    return WindowSize(shape, min(-(-beams // 16) * 16, sonar.n_beams))
+
+
+def _room(mesh: Mesh, start: Pose, lift: Any, roll: Any, pitch: Any) -> Mesh:
+    """The mesh with the extent that it has at `start`, moved by so much in z [m], roll and pitch [rad] at most."""
+    return leaning_room(mesh, start.z.max() + lift, (abs(start.roll) + roll).max(), (abs(start.pitch) + pitch).max())
+
+
+def _static(config: RefineConfig, size: WindowSize, free: tuple[str, ...], hold: bool) -> dict[str, Any]:
+    return {"size": size, "quality": config.quality, "polished": config.polish > 0, "free": free, "hold": hold}
+
+
+def _settings(config: RefineConfig, free: tuple[str, ...]) -> tuple[Any, ...]:
+    """A config's numbers, which are traced: searches of all kinds share compiled code."""
+    bounds = [*((-config.bound(name), config.bound(name)) for name in free), BOUNCE_BOUNDS[config.template]]
+    search = Search(
+        bounds=np.asarray(bounds, np.float32).T,
+        blurs=np.asarray(config.blurs, np.float32),
+        iterations=np.int32(config.iterations),
+        polish=np.int32(config.polish),
+        score_margin=np.array([MARGIN_BINS, MARGIN_BEAMS], np.int32),
+    )
+    everywhere = np.full(2, 1 << 20, np.int32)
+    margin = everywhere if config.margin is None else np.array(config.margin, np.int32)
+    return search, np.float32(config.sharpness), np.int32(VIEWS[config.template]), margin
+
+
+@partial(jax.jit, static_argnames=("size", "quality", "polished", "free", "hold"))
+def _refine(
+    image: Array, weight: Array, mesh: Mesh, sonar: Sonar, start: Pose, search: Search, sharpness: Array, views: Array,
+    margin: Array, *, size: WindowSize, quality: RenderQuality, polished: bool, free: tuple[str, ...],
+    hold: bool,
+) -> tuple[PoseEstimate, Drawn]:  # fmt: skip
+    """One start in one image: the window is cut out, searched, and the derivative attached."""
+    count, away = len(free), jnp.asarray(trusts(free))
+    most = [search.bounds[1][free.index(name)] if name in free else 0.0 for name in ("z", "roll", "pitch")]
+    window = without_gradient(place_window(size, _room(mesh, start, *most), sonar, start.x, start.y, SLACK_M))
+    part, measured = (jax.lax.dynamic_slice(v, (window.row, window.column), size.shape) for v in (image, weight))
+    subject = Subject(mesh, sonar, start, window, sharpness, views, nominal_law(), quality, free)
+    problem = Problem(part, measured, subject, margin)
+    fixed = without_gradient(problem)
+    solution, covariance, told, held = _searched(fixed, search, hold)
+    best, bounds = solution.best, jnp.where(held, 0.0, search.bounds)
+    score = crop_score(fixed.image, best.template, solution.weight, search.score_margin)
+    # The last step of a search that has settled is small: it is taken without another render.
+    left = jnp.abs(best.remaining)
+    last = jnp.where(left.max() < SETTLED_SHARE, best.remaining * away, 0.0)
+    step = jnp.clip(best.step + last, *bounds)
+    inside = jnp.abs(step) < INSIDE * bounds[1]
+    converged = (inside | held)[:count].all() & (left[:count].max() < SETTLED_SHARE) & jnp.isfinite(best.cost)
+    determined = jnp.zeros((), bool)
+    if polished:
+        fitted = _as_solved(problem, solution)
+        blur = make_blur(size.shape, search.blurs[-1])
+        movable = inside & (bounds[1] > 0) & (step > bounds[0])
+        curvature = hessian(without_gradient(fitted), blur, step)
+        settled = converged & (left[:count].max() < STATIONARY_SHARE)
+        determined = settled & is_minimum(curvature, movable, jnp.asarray(displacements(free)))
+        step = attach(step, fitted, blur, curvature, movable, determined)
+    pose = pose_at(without_gradient(start), step, free)
+    estimate = PoseEstimate(
+        pose=replace(pose, yaw=pose.yaw % (2 * jnp.pi)),
+        covariance=covariance[:count, :count],
+        score=jnp.nan_to_num(score),
+        start_score=jnp.nan_to_num(solution.start_score),
+        converged=converged,
+        determined=determined,
+        observable=told.observable[:count],
+        singular_values=told.singular_values,
+        free=free,
+    )
+    row, column = jnp.asarray(window.row), jnp.asarray(window.column)
+    return estimate, without_gradient(Drawn(best.template, best.labels, row, column))
+
+
+class _Pass(NamedTuple):
+    """What one search hands to the next."""
+
+    number: Int[Array, ""]
+    held: Bool[Array, "step"]  # numbers that stay at their start
+    solution: Solution
+    covariance: Float[Array, "step step"]
+    told: Observability
+
+
+def _searched(
+    problem: Problem, search: Search, hold: bool
+) -> tuple[Solution, Float[Array, "step step"], Observability, Bool[Array, "step"]]:
+    """The search's solution, its covariance, what is observable, and which numbers were held at their start.
+
+    With `hold` it is made a second time where some numbers turn out not to be observable, without these: in a loop, so
+    that the renderer is compiled once.
+    """
+    prior, count = prior_std(jnp.asarray(search.bounds)), len(problem.subject.free)
+    nothing = Observability(jnp.zeros(count + 1, bool), jnp.zeros(count))
+
+    def once(state: _Pass) -> _Pass:
+        solution = coarse_to_fine(problem, search._replace(bounds=jnp.where(state.held, 0.0, search.bounds)))
+        normal, known = (
+            normal_equations(problem.image, solution.weight, solution.best),
+            jnp.isfinite(solution.best.cost),
+        )
+        covariance = error_covariance(normal, prior, state.held, known)
+        if not hold:
+            return state._replace(solution=solution, covariance=covariance)
+        # What the whole search can tell is judged where nothing is held.
+        first, here = state.number == 0, observability(normal, prior, known, count)
+        told = jax.tree.map(lambda new, old: jnp.where(first, new, old), here, state.told)
+        lost = first & ~told.observable & (jnp.arange(count + 1) < count)
+        return _Pass(state.number + 1, state.held | lost, solution, covariance, told)
+
+    def goes_on(state: _Pass) -> Bool[Array, ""]:
+        return (state.number == 0) | ((state.number == 1) & state.held.any())
+
+    size, held = count + 1, jnp.zeros(count + 1, bool)
+    first = _Pass(jnp.zeros((), jnp.int32), held, begun(problem, search), jnp.zeros((size, size)), nothing)
+    last = jax.lax.while_loop(goes_on, once, first) if hold else once(first)
+    return last.solution, last.covariance, last.told, last.held
+
+
+def _as_solved(problem: Problem, solution: Solution) -> Problem:
+    """The problem with pixels and template as the search chose them: its objective no longer depends on the start."""
+    return problem._replace(
+        weight=solution.weight, subject=replace(problem.subject, views=solution.views, law=solution.law)
+    )

@@ -1,0 +1,113 @@
+"""How well a frame tells the free numbers of a pose: their covariance, and which of them it determines at all."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from sonarjax.refine.objective import normalised
+from sonarjax.refine.solver import Found
+
+CORRELATED_BEAMS = 5
+"""Beams over which residuals err together, less and less, in the covariance."""
+OBSERVABLE = 0.5
+"""Most of the prior's standard deviation that is left of a number that the frame determines [1], as `calibrate` has
+it."""
+FINEST = 40.0
+"""No number is taken to be known better than to this part of its prior, of usual bounds 2 mm and 0.6° [1]: on noisy
+frames templates are not that exact, and a facet of a tessellated body would pass for an edge that tells its yaw."""
+LEAST_SHARE = 1e-3
+"""Directions that hold a smaller share of all information say nothing about how noisy the rest is [1]."""
+
+
+class Normal(NamedTuple):
+    """The normal equations of one frame at a solution, in units of the image's norm."""
+
+    information: Float[Array, "step step"]
+    """JᵀJ, J of the image fitted by gain·template + offset."""
+    noise: Float[Array, "step step"]
+    """Covariance of Jᵀ·residual: its outer products summed over pairs of beams."""
+
+
+class Observability(NamedTuple):
+    """Which numbers of a step the frames determine."""
+
+    observable: Bool[Array, "step"]
+    """Whether they determine each of them."""
+    singular_values: Float[Array, "pose"]
+    """Of what they tell about the pose's numbers, in units of their priors, largest first."""
+
+
+def normal_equations(
+    image: Float[Array, "range beam"], weight: Float[Array, "range beam"], found: Found
+) -> Normal:  # fmt: skip
+    """The normal equations of the image fitted by gain·template + offset.
+
+    `noise` sums the outer products of the Jᵀr of pairs of beams, those `CORRELATED_BEAMS` and more apart left out
+    (Newey and West, Econometrica 55, 1987): residuals along a beam and of its neighbours err together where an edge is
+    a little off, so the plain σ²(JᵀJ)⁻¹ is far too small.
+    """
+    drawn = found.template
+    fitted, seen = normalised(drawn, weight), normalised(image, weight)
+    gain = (fitted * seen).sum()
+    left = seen - gain * fitted
+    centred = (drawn - (drawn * weight).sum() / jnp.maximum(weight.sum(), 1.0)) * weight
+    scale = gain / jnp.sqrt((centred**2).sum() + 1e-9)
+    slope = found.slope * weight * scale
+    information = jnp.einsum("irb,jrb->ij", slope, slope)
+    by_beam = jnp.einsum("irb,rb->ib", slope, left)
+    apart = np.abs(np.arange(image.shape[1])[:, None] - np.arange(image.shape[1]))
+    together = jnp.asarray(np.maximum(1 - apart / CORRELATED_BEAMS, 0.0), jnp.float32)
+    return Normal(information, by_beam @ together @ by_beam.T)
+
+
+def error_covariance(
+    normal: Normal, prior: Float[Array, "step"], held: Bool[Array, "step"], known: Bool[Array, ""]
+) -> Float[Array, "step step"]:
+    """Covariance (step, step) of the errors of a step; infinite on the diagonal where nothing is known.
+
+    (JᵀJ)⁻¹·B·(JᵀJ)⁻¹ of what was fitted. `held` (step,) marks numbers that stayed at their start: their errors are the
+    `prior`'s (step,), standard deviations, and pass on to the others. Nothing is known where `known` is false.
+    """
+    information, noise = normal
+    size = len(information)
+    ridge = 1e-6 * jnp.trace(information) + 1e-12
+    fixed = held[:, None] | held
+    inverse = jnp.linalg.inv(jnp.where(fixed, jnp.eye(size), information) + ridge * jnp.eye(size))
+    spread = inverse @ jnp.where(fixed, 0.0, noise) @ inverse
+    passed_on = -inverse @ jnp.where(held & ~held[:, None], information, 0.0) + jnp.diag(held.astype(jnp.float32))
+    covariance = spread + (passed_on * jnp.where(held, prior**2, 0.0)) @ passed_on.T
+    variance = jnp.diag(covariance)
+    known = known & jnp.isfinite(variance) & ((jnp.diag(information) > 0) | held)
+    off = jnp.where(known[:, None] & known, covariance, 0.0)
+    return jnp.where(jnp.eye(size, dtype=bool), jnp.where(known, jnp.maximum(variance, 0.0), jnp.inf), off)
+
+
+def observability(normal: Normal, prior: Float[Array, "step"], known: Bool[Array, ""], count: int) -> Observability:
+    """Which numbers are determined, from the information in units of the `prior` (step,), standard deviations.
+
+    The first `count` numbers are the pose's. None is determined where `known` is false.
+    The residuals err together: one factor says how often the information counts what the frame tells, as in
+    `calibrate`; a sandwich for each direction would be noise where there is hardly any information.
+    """
+    scale = prior[:, None] * prior
+    information, noise = (jnp.nan_to_num(v * scale) for v in normal)
+    size = len(information)
+    inverse = jnp.linalg.inv(information + (LEAST_SHARE * jnp.trace(information) + 1e-12) * jnp.eye(size))
+    counted = jnp.trace(inverse @ noise) / jnp.maximum(jnp.trace(inverse @ information), 1e-12)
+    counted = jnp.maximum(counted, jnp.trace(information) / FINEST**2) + 1e-12
+    told = information / counted
+    left = jnp.sqrt(jnp.diag(jnp.linalg.inv(told + jnp.eye(size))))
+    rest = told[count:, count:] + jnp.eye(size - count)
+    alone = told[:count, :count] - told[:count, count:] @ jnp.linalg.solve(rest, told[count:, :count])
+    values = jnp.sqrt(jnp.maximum(jnp.linalg.eigvalsh(alone)[::-1], 0.0))
+    return Observability(known & (left <= OBSERVABLE), jnp.where(known, values, 0.0))
+
+
+def prior_std(bounds: Float[Array, "2 step"]) -> Float[Array, "step"]:
+    """Standard deviations (step,) of numbers that may lie anywhere within `bounds` (2, step)."""
+    return (bounds[1] - bounds[0]) / math.sqrt(12.0)

@@ -1,0 +1,339 @@
+"""One pose from several views: joint Levenberg–Marquardt over frames of one standing object from known sonar poses.
+
+Each view's normal equations are made in its own sonar's frame and turned into the common one: planar sonar poses make
+that a constant matrix. The bounce's energy is each view's own. Everything but the renders is small and on the host.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from sonarjax.engine import Engine
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.refine.config import RefineConfig
+from sonarjax.refine.free import ALL, BOUNCE, NUMBERS
+from sonarjax.refine.objective import ROW_STRIDE, Problem, box_around, crop_score, make_blur, normalised
+from sonarjax.refine.solver import SETTLED_SHARE, Found, Search, best_template
+from sonarjax.refine.template import (
+    BOUNCE_BOUNDS,
+    VIEWS,
+    EchoLaw,
+    Subject,
+    layers_with_slope,
+    nominal_law,
+    paint_with_slope,
+    semantic_template,
+)
+from sonarjax.refine.uncertainty import Normal, error_covariance, normal_equations, observability, prior_std
+from sonarjax.render import RenderQuality, WindowSize, place_window
+from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS, leaning_room
+from sonarjax.scene import Mesh, Pose
+from sonarjax.sonar import Sonar
+
+SLACK_M = 0.06
+"""Room around the start inside the window [m]."""
+LEAST_GAIN = 2e-4
+"""A step that lowers the cost by a smaller share is the last."""
+MOST_DAMPING = 1e3
+"""Damping at which no step is to be had."""
+TRUST = np.array([NUMBERS[name].trust for name in ALL])
+"""Largest step of each number in one iteration."""
+
+
+class Fixed(NamedTuple):
+    """What a search keeps of a view from its first render on."""
+
+    weight: Any
+    """(range, beam) of the window: 1 where a pixel counts."""
+    views: Any
+    """Which template is fitted, see `VIEWS`."""
+    law: Any
+    """How the echo is stored: gain, noise and exponent."""
+
+
+class View(NamedTuple):
+    """One view's part at a point."""
+
+    hessian: Any
+    """JᵀJ of the six numbers in the view's frame, and of the bounce's energy (7, 7)."""
+    gradient: Any
+    """Jᵀ·residual (7,)."""
+    cost: Any
+    """1 − NCC of the blurred images."""
+    score: Any
+    """NCC (eq. 4) of the template over its own box with the bank's margin."""
+    information: Any
+    """As in `Normal`, unblurred (7, 7)."""
+    noise: Any
+    """As in `Normal` (7, 7)."""
+
+
+class Joint(NamedTuple):
+    """Where a joint search ended."""
+
+    pose: Pose
+    """In the common frame."""
+    covariance: np.ndarray
+    """Of the free numbers' errors (free, free)."""
+    score: float
+    """Mean NCC of the views."""
+    start_score: float
+    """The same at the start."""
+    converged: bool
+    """Whether the last step was small, inside the bounds."""
+    observable: np.ndarray
+    """Whether the frames determine each free number (free,)."""
+    singular_values: np.ndarray
+    """Of what they tell (free,), largest first."""
+
+
+@partial(jax.jit, static_argnames=("size", "quality"))
+def linearise(
+    image: Array, weight: Array, mesh: Mesh, sonar: Sonar, place: Pose, room: tuple[Array, Array, Array], pose: Pose,
+    bounce: Array, sigma: Array, sharpness: Array, margin: Array, fixed: tuple[Any, ...], fresh: Array, *,
+    size: WindowSize, quality: RenderQuality,
+) -> tuple[tuple[Array, ...], tuple[Any, ...]]:  # fmt: skip
+    """The fields of a `View` at `pose` in the view's frame, and of its `Fixed`, made anew where `fresh`.
+
+    The window lies around `place`, where `room` is the lift [m], roll and pitch [rad] that it has room for.
+    """
+    roomy = leaning_room(mesh, *room)
+    window = place_window(size, roomy, sonar, place.x, place.y, SLACK_M)
+    part, measured = (jax.lax.dynamic_slice(v, (window.row, window.column), size.shape) for v in (image, weight))
+    kept = Fixed(fixed[0], fixed[1], EchoLaw(*fixed[2]))
+    painted = jnp.where(fresh & (kept.views != VIEWS["semantic"]), VIEWS["echo"], kept.views)
+    subject = Subject(mesh, sonar, pose, window, sharpness, painted, kept.law, quality, ALL)
+    layers, slopes = layers_with_slope(subject, jnp.zeros(len(ALL) + 1))
+    score_margin = jnp.array([MARGIN_BINS, MARGIN_BEAMS])
+    nothing = jnp.zeros(())
+    problem = Problem(part, measured, replace(subject, views=kept.views), margin)
+    search = Search(nothing, nothing, nothing, nothing, score_margin)
+    choose = fresh & (kept.views != VIEWS["semantic"])
+    views, law = jax.lax.cond(
+        choose, partial(best_template, problem, layers, search), lambda: (jnp.asarray(kept.views), kept.law)
+    )
+    drawn, slope = paint_with_slope(replace(subject, views=views, law=law), layers, slopes, bounce)
+    inside = jnp.where(fresh, measured * box_around(semantic_template(layers), margin), kept.weight)
+    rows, blur = inside[::ROW_STRIDE], make_blur((size.shape[0], size.shape[1]), sigma)
+    seen = normalised(blur(part * inside), rows)
+    blurred, *changes = blur(jnp.concatenate([drawn[None], slope]) * inside)
+    fitted, jacobian = jax.vmap(
+        lambda change: jax.jvp(lambda v: normalised(v, rows), (blurred,), (change,)), out_axes=(None, 0)
+    )(jnp.stack(changes))
+    off = fitted - seen
+    cost = (off**2).sum() / 2
+    comparable = jnp.any(drawn * inside != 0) & jnp.isfinite(cost)
+    cost = jnp.where(comparable, cost, jnp.inf)
+    found = Found(cost, jnp.zeros(()), drawn, drawn, slope, jnp.zeros(()))
+    normal = normal_equations(part, inside, found)
+    numbers = (
+        jnp.einsum("irb,jrb->ij", jacobian, jacobian), jnp.einsum("irb,rb->i", jacobian, off), cost,
+        crop_score(part, drawn, measured, score_margin), *normal,
+    )  # fmt: skip
+    # Plain tuples: the CPU's engine keeps compiled code in files, and knows no type of ours.
+    return tuple(jnp.nan_to_num(v, posinf=jnp.inf) for v in numbers), (
+        inside,
+        views,
+        (law.gain, law.noise, law.exponent),
+    )
+
+
+class Job(NamedTuple):
+    """What stays the same throughout a joint search; the window lies around the start."""
+
+    images: np.ndarray
+    """(view, range, beam)."""
+    weights: np.ndarray
+    """(view, range, beam): 1 where a pixel was measured."""
+    mesh: Mesh
+    """The object."""
+    sonar: Sonar
+    """What looks at it, the same in all views."""
+    sonar_poses: np.ndarray
+    """x, y [m] and heading [rad] of each sonar in the common frame (view, 3)."""
+    free: tuple[str, ...]
+    """The free numbers."""
+    config: RefineConfig
+    """How it is searched."""
+    size: WindowSize
+    """The window that is rendered."""
+    engine: Engine
+    """Runs what is compiled."""
+
+
+class _Sum(NamedTuple):
+    """All views' normal equations in the common frame: the free numbers, then each view's bounce."""
+
+    hessian: np.ndarray
+    gradient: np.ndarray
+    cost: float
+    score: float
+    normal: Normal
+
+
+def refine_jointly(job: Job, start: Pose) -> Joint:
+    """The pose in the common frame that all views fit best, from one `start`; what is not observable stays there."""
+    held = np.zeros(len(job.free), bool)
+    found, told = _search(job, start, held)
+    if told is not None and not told[0].all():
+        return _search(job, start, ~told[0])[0]._replace(observable=told[0], singular_values=told[1])
+    return found
+
+
+def _search(job: Job, start: Pose, held: np.ndarray) -> tuple[Joint, tuple[np.ndarray, np.ndarray]]:
+    """One search with some numbers held: where it ended, and which numbers are observable, with singular values."""
+    config, count, views = job.config, len(job.free), len(job.images)
+    bounds = np.array([config.bound(name) for name in job.free])
+    low, high = BOUNCE_BOUNDS[config.template]
+    most = np.concatenate([np.where(held, 0.0, bounds), np.full(views, high)])
+    least = np.concatenate([-most[:count], np.full(views, low)])
+    trust = np.array([*(NUMBERS[name].trust for name in job.free), *[BOUNCE.trust] * views])
+    evaluate = _evaluator(job, start)
+    point, begun, settled = np.clip(np.zeros(count + views), least, most), None, False
+    for sigma in config.blurs:
+        here, damping = evaluate(point, sigma), 1e-3
+        begun = here.score if begun is None else begun
+        for _ in range(config.iterations + (config.polish if sigma == config.blurs[-1] else 0)):
+            step = _step(here, most > least, trust, damping)
+            target = np.clip(point + step, least, most)
+            there = evaluate(target, sigma)
+            moved, gain = float(np.abs((target - point) / trust).max()), here.cost - there.cost
+            if gain > 0:
+                point, here, damping = target, there, max(damping / 5, 1e-6)
+                settled = moved < SETTLED_SHARE or gain < LEAST_GAIN * here.cost
+            else:
+                damping = max(damping * 10, 1e-2)
+                settled = moved < SETTLED_SHARE or damping > MOST_DAMPING
+            if settled:
+                break
+    prior = jnp.asarray(prior_std(jnp.asarray(_box(bounds, low, high, views))), jnp.float32)
+    known, fast = jnp.isfinite(here.cost), jnp.asarray(np.concatenate([held, np.zeros(views, bool)]))
+    told = observability(here.normal, prior, known, count)
+    covariance = np.asarray(error_covariance(here.normal, prior, fast, known))[:count, :count]
+    inside = np.abs(point[:count]) < 0.98 * bounds
+    found = Joint(
+        _moved(start, job.free, point), covariance, here.score, float(begun or 0.0),
+        bool((inside | held).all() and settled and np.isfinite(here.cost)),
+        np.asarray(told.observable)[:count], np.asarray(told.singular_values),
+    )  # fmt: skip
+    return found, (found.observable, found.singular_values)
+
+
+def _box(bounds: np.ndarray, low: float, high: float, views: int) -> np.ndarray:
+    return np.stack([np.concatenate([-bounds, [low] * views]), np.concatenate([bounds, [high] * views])])
+
+
+def _step(here: _Sum, movable: np.ndarray, trust: np.ndarray, damping: float) -> np.ndarray:
+    """The damped Gauss–Newton step of what may move, in units of the trust region, shortened to it."""
+    scaled = (here.hessian * trust[:, None] * trust)[np.ix_(movable, movable)]
+    ridge = damping * np.diag(np.diag(scaled)) + 1e-7 * (1 + np.trace(scaled)) * np.eye(len(scaled))
+    share = np.zeros(len(trust))
+    if np.isfinite(scaled).all() and np.isfinite(here.gradient).all():
+        share[movable] = -np.linalg.solve(scaled + ridge, (here.gradient * trust)[movable])
+    return trust * share / max(1.0, np.abs(share).max(initial=0.0))
+
+
+def _evaluator(job: Job, start: Pose) -> Callable[[np.ndarray, float], _Sum]:
+    """A function of a point (free numbers, bounces) and a blur [range bins]: the sum over all views there."""
+    config, count = job.config, len(job.free)
+    places = [in_view(start, sonar) for sonar in job.sonar_poses]
+    at = {"z": float(start.z), "roll": abs(float(start.roll)), "pitch": abs(float(start.pitch))}
+    space = tuple(np.float32(v + (config.bound(name) if name in job.free else 0.0)) for name, v in at.items())
+    law = tuple(np.asarray(v) for v in jax.tree.leaves(nominal_law()))
+    fixed: list[Any] = [(np.zeros(job.size.shape, np.float32), np.int32(VIEWS[config.template]), law)] * len(places)
+    margin = np.full(2, 1 << 20, np.int32) if config.margin is None else np.array(config.margin, np.int32)
+    fresh = [True] * len(places)
+
+    def evaluate(point: np.ndarray, sigma: float) -> _Sum:
+        pose = _moved(start, job.free, point)
+
+        def one(k: int) -> View:
+            numbers, kept = job.engine.run(
+                linearise, job.images[k], job.weights[k], job.mesh, job.sonar, places[k], space,
+                in_view(pose, job.sonar_poses[k]), np.float32(point[count + k]), np.float32(sigma),
+                np.float32(config.sharpness), margin, fixed[k], np.bool_(fresh[k]), size=job.size,
+                quality=config.quality,
+            )  # fmt: skip
+            if fresh[k]:
+                fixed[k], fresh[k] = jax.tree.map(np.asarray, kept), False
+            return View(*(np.asarray(v, float) for v in numbers))
+
+        return _summed(job.engine.map(one, range(len(places))), job.free, job.sonar_poses)
+
+    return evaluate
+
+
+def _summed(parts: Sequence[View], free: tuple[str, ...], sonar_poses: np.ndarray) -> _Sum:
+    count, views = len(free), len(parts)
+    size = count + views
+    hessian, information, noise = (np.zeros((size, size)) for _ in range(3))
+    gradient = np.zeros(size)
+    for k, part in enumerate(parts):
+        across = np.zeros((len(ALL) + 1, size))
+        across[: len(ALL), :count] = turned(sonar_poses[k, 2])[:, [ALL.index(name) for name in free]]
+        across[-1, count + k] = 1.0
+        gradient += across.T @ part.gradient
+        for total, mine in ((hessian, part.hessian), (information, part.information), (noise, part.noise)):
+            total += across.T @ mine @ across
+    normal = Normal(jnp.asarray(information, jnp.float32), jnp.asarray(noise, jnp.float32))
+    cost, score = float(sum(part.cost for part in parts)), float(np.mean([part.score for part in parts]))
+    return _Sum(hessian, gradient, cost if np.isfinite(cost) else np.inf, score, normal)
+
+
+def turned(heading: float) -> Float[np.ndarray, "number number"]:
+    """Derivatives (number, number) of the six numbers in the frame of a sonar of `heading` [rad] by the common ones."""
+    matrix, x, y = np.eye(len(ALL)), ALL.index("x"), ALL.index("y")
+    c, s = np.cos(heading), np.sin(heading)
+    matrix[np.ix_([x, y], [x, y])] = [[c, s], [-s, c]]
+    return matrix
+
+
+def in_view(pose: Pose, sonar: np.ndarray) -> Pose:
+    """A pose of the common frame in the ground frame of a `sonar` at x, y [m] with a heading [rad]."""
+    x, y = np.asarray(pose.x) - sonar[0], np.asarray(pose.y) - sonar[1]
+    c, s = np.cos(sonar[2]), np.sin(sonar[2])
+    return replace(pose, **_fields(x=c * x + s * y, y=c * y - s * x, yaw=np.asarray(pose.yaw) - sonar[2]))
+
+
+def in_common(pose: Pose, sonar: np.ndarray) -> Pose:
+    """A pose of the ground frame of a `sonar` at x, y [m] with a heading [rad], in the common frame."""
+    x, y = np.asarray(pose.x), np.asarray(pose.y)
+    c, s = np.cos(sonar[2]), np.sin(sonar[2])
+    return replace(
+        pose, **_fields(x=c * x - s * y + sonar[0], y=c * y + s * x + sonar[1], yaw=np.asarray(pose.yaw) + sonar[2])
+    )
+
+
+def _moved(start: Pose, free: tuple[str, ...], point: np.ndarray) -> Pose:
+    return replace(
+        start, **_fields(**{name: np.asarray(getattr(start, name)) + point[k] for k, name in enumerate(free)})
+    )
+
+
+def _fields(**values: Any) -> dict[str, Any]:
+    """Fields of a pose as device arrays; nothing is compiled."""
+    return {name: jax.device_put(np.asarray(value, np.float32)) for name, value in values.items()}
+
+
+def check_views(images: Any, sonar_poses: Pose, start: Pose, sonar: Sonar) -> np.ndarray:
+    """x, y [m] and heading [rad] (view, 3) of the sonars. Raises SonarjaxError where views, poses or start do not fit.
+
+    `images` are (view, range, beam).
+    """
+    if np.ndim(images) != 3 or np.shape(images)[-2:] != sonar.shape:
+        raise SonarjaxError(f"image: expected shape (view, {sonar.n_ranges}, {sonar.n_beams}), got {np.shape(images)}")
+    if sonar_poses.shape != np.shape(images)[:1]:
+        raise SonarjaxError(f"sonar_poses: expected one pose for each of {len(images)} views, got {sonar_poses.shape}")
+    if any(np.asarray(getattr(sonar_poses, name)).any() for name in ("z", "roll", "pitch")):
+        raise SonarjaxError("sonar_poses: expected z, roll and pitch of 0: height, tilt and roll are the sonar's own")
+    if len(start.shape) > 1:
+        raise SonarjaxError(f"start: expected one pose or one axis of poses for all views, got shape {start.shape}")
+    return np.stack([np.asarray(v, float) for v in (sonar_poses.x, sonar_poses.y, sonar_poses.yaw)], axis=1)

@@ -1,0 +1,68 @@
+"""`PoseFinder`: a leaning, lifted object from nothing, in one clean frame and in two."""
+
+import math
+
+import jax
+import numpy as np
+import pytest
+
+import sonarjax as sj
+from sonarjax.refine import in_view
+from sonarjax.refine.find import distinct, kept
+
+SONAR = sj.Sonar.preset("didson-hf", tilt=math.radians(20.0), height=0.9)
+MESH = sj.objects.target()
+TRUTH = sj.Pose(2.25, 0.08, 3.7, 0.06, math.radians(11.0), math.radians(-8.0))
+
+
+def turned_deg(pose):
+    turn = np.asarray(pose.rotation()).T @ np.asarray(TRUTH.rotation())
+    return math.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1)))
+
+
+def away(pose):
+    return math.dist(*([float(getattr(one, name)) for name in ("x", "y", "z")] for one in (pose, TRUTH)))
+
+
+@pytest.mark.slow
+def test_a_leaning_object_is_found_from_nothing():
+    """The semantic image is matched and refined as it is, without a segmenter."""
+    sonars = np.array([(0.0, 0.0, 0.0), (2.3, -2.2, math.pi / 2)])
+    images = np.stack([np.asarray(sj.render(MESH, in_view(TRUTH, one), SONAR).semantic()) for one in sonars])
+    lean = sj.LeanSearchConfig(yaw_bins=18, lifts=(0.03,), candidates=3)
+    finder = sj.PoseFinder(MESH, SONAR, segmenter="none", lean=lean)
+    alone = [finder(image) for image in images]
+    best = jax.tree.map(lambda v: v[0], alone[0].pose)
+    assert turned_deg(best) < 1.0 and away(best) < 5e-3
+    assert (np.diff(np.asarray(alone[0].score)) <= 1e-6).all()
+    both = finder.views(images, sj.Pose(*sonars.T), alone)
+    best = jax.tree.map(lambda v: v[0], both.pose)
+    assert turned_deg(best) < 0.5 and away(best) < 2e-3
+
+
+def made(yaws, scores):
+    yaws = np.asarray(yaws, np.float32)
+    count, scores = len(yaws), jax.device_put(np.asarray(scores, np.float32))
+    flags = jax.device_put(np.zeros(count, bool))
+    return sj.PoseEstimate(
+        sj.Pose(yaw=yaws), jax.device_put(np.zeros((count, 3, 3), np.float32)), scores, scores + 0.1, flags, flags,
+        jax.device_put(np.ones((count, 3), bool)), jax.device_put(np.ones((count, 3), np.float32)),
+    )  # fmt: skip
+
+
+def test_poses_that_are_the_same_count_once():
+    found = made([0.0, 0.01, 3.0, 2 * math.pi - 0.01, 3.3], [0.5, 0.7, 0.6, 0.65, 0.1])
+    assert distinct(found, math.radians(5.0), 5).tolist() == [1, 2, 4]
+    assert distinct(found, math.radians(5.0), 2).tolist() == [1, 2]
+    assert distinct(found, math.radians(20.0), 5).tolist() == [1, 2]
+
+
+def test_a_pose_that_neither_settled_nor_fits_better_is_not_kept():
+    found = made([1.0, 2.0], [0.5, 0.6])  # both score less than their start, neither converged
+    start = sj.Pose(yaw=np.array([0.1, 0.2]))
+    np.testing.assert_allclose(kept(found, start).yaw, [0.1, 0.2])
+
+
+def test_what_cannot_be_free_is_refused():
+    with pytest.raises(sj.SonarjaxError, match="free: expected different names"):
+        sj.PoseFinder(MESH, SONAR, free=("yaw", "heave"))

@@ -1,0 +1,91 @@
+"""Several views of one standing object: frames of the sonars, the joint solution, and what is refused."""
+
+import math
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import sonarjax as sj
+from sonarjax.refine import in_common, in_view
+from sonarjax.refine.free import ALL
+from sonarjax.refine.views import turned
+
+SONAR = sj.Sonar.preset("didson-hf", tilt=math.radians(20.0), height=0.9)
+MESH = sj.objects.target()
+GREY = np.array([0.5, 1.0, 0.0], np.float32)
+TRUTH = sj.Pose(2.3, 0.1, 0.9, 0.05, math.radians(9.0), math.radians(-6.0))
+SONARS = np.array([(0.0, 0.0, 0.0), (2.4, -2.2, math.pi / 2)])
+SONAR_POSES = sj.Pose(SONARS[:, 0], SONARS[:, 1], SONARS[:, 2])
+
+
+def numbers(pose):
+    return np.array([np.asarray(getattr(pose, name)) for name in ALL], float)
+
+
+def test_a_pose_in_a_view_is_the_same_points_seen_from_there():
+    for sonar in np.array([(0.3, -1.2, 0.7), (2.4, -2.2, math.pi / 2)]):
+        there = in_view(TRUTH, sonar)
+        expected = np.asarray(TRUTH.to_ground(MESH.vertices)) - [sonar[0], sonar[1], 0.0]
+        expected = Rotation.from_euler("z", -sonar[2]).apply(expected)
+        np.testing.assert_allclose(there.to_ground(MESH.vertices), expected, atol=1e-5)
+        np.testing.assert_allclose(numbers(in_common(there, sonar)), numbers(TRUTH), atol=1e-5)
+
+
+def test_derivatives_in_a_view_are_central_differences():
+    sonar, step = np.array([0.3, -1.2, 0.7]), 1e-2
+    for k, name in enumerate(ALL):
+        ahead, behind = (replace(TRUTH, **{name: getattr(TRUTH, name) + s}) for s in (step, -step))
+        slope = (numbers(in_view(ahead, sonar)) - numbers(in_view(behind, sonar))) / (2 * step)
+        np.testing.assert_allclose(turned(sonar[2])[:, k], slope, atol=1e-3)
+
+
+@pytest.mark.slow
+def test_two_views_are_better_than_one_and_say_so():
+    config = sj.RefineConfig(polish=0, iterations=6)
+    poses = [in_view(TRUTH, one) for one in SONARS]
+    images = np.stack(
+        [GREY[np.asarray(sj.render(MESH, p, SONAR, quality=sj.RenderQuality(4)).labels())] for p in poses]
+    )
+    away = np.array([[0.1, 0.015, -0.015, 0.015, -0.08, 0.08], [-0.1, -0.01, 0.02, -0.01, 0.08, 0.06]])
+    start = sj.Pose(
+        *(float(getattr(TRUTH, n)) + away[:, ALL.index(n)] for n in ("x", "y", "yaw", "z", "roll", "pitch"))
+    )
+    both = sj.refine_pose(images, MESH, SONAR, start, free=ALL, config=config, sonar_poses=SONAR_POSES)
+    assert both.score.shape == (2,) and both.covariance.shape == (2, 6, 6) and both.free == ALL
+    assert np.asarray(both.converged).all() and np.asarray(both.observable).all()
+    assert not np.asarray(both.determined).any()
+    assert (np.asarray(both.score) > np.asarray(both.start_score)).all()
+    for k in range(2):
+        pose = jax.tree.map(lambda v, k=k: v[k], both.pose)
+        turn = np.asarray(pose.rotation()).T @ np.asarray(TRUTH.rotation())
+        assert math.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))) < 0.4
+        assert np.linalg.norm((numbers(pose) - numbers(TRUTH))[1:4]) < 1e-3
+    one = jax.tree.map(lambda v: v[0], start)
+    alone = sj.refine_pose(images[0], MESH, SONAR, one, free=ALL, config=config)
+    # What a view tells of depth is what the other tells of the side: no number is known worse, most better.
+    assert (np.asarray(both.std[0]) < 1.1 * np.asarray(alone.std)).sum() >= 5
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"image": np.zeros(SONAR.shape, np.float32)}, "image: expected shape"),
+        ({"sonar_poses": sj.Pose(np.zeros(3))}, "sonar_poses: expected one pose for each of 2 views"),
+        ({"sonar_poses": sj.Pose(np.zeros(2), roll=0.1)}, "sonar_poses: expected z, roll and pitch of 0"),
+        ({"start": sj.Pose(np.zeros((2, 2)))}, "start: expected one pose or one axis"),
+        ({"mask": np.ones((2, 3), bool)}, "mask: expected the images' shape"),
+    ],
+)
+def test_views_that_do_not_fit_are_refused(change, message):
+    given = {"image": np.zeros((2, *SONAR.shape), np.float32), "start": TRUTH, "sonar_poses": SONAR_POSES} | change
+    with pytest.raises(sj.SonarjaxError, match=message):
+        sj.refine_pose(given.pop("image"), MESH, SONAR, given.pop("start"), free=ALL, **given)
+
+
+def test_views_cannot_be_traced():
+    images = np.zeros((2, *SONAR.shape), np.float32)
+    with pytest.raises(sj.SonarjaxError, match="nothing may be traced"):
+        jax.eval_shape(lambda v: sj.refine_pose(v, MESH, SONAR, TRUTH, sonar_poses=SONAR_POSES).score, images)
