@@ -37,6 +37,8 @@ class Look(NamedTuple):
     """Logarithm of the energy that a beam hears of all others, relative to its own [1]."""
     streak: Any
     """Logarithm of the share of a glint's energy that lights its whole range row [1]."""
+    floor_path: Any
+    """1 where an echo bounces on the floor on both ways, 0.5 on one of them [1]."""
 
 
 class _Prior(NamedTuple):
@@ -61,6 +63,7 @@ _PRIORS = Look(
     rim=_Prior(0.5, 0.5, 0.5),
     leak=_Prior(-2.5, 1.5, 0.7),
     streak=_Prior(math.log(float(_DEVICE.streak)), 1.5, 0.7),
+    floor_path=_Prior(0.75, 0.2, 0.15),
 )
 LOOK = Look(*(prior.start for prior in _PRIORS))
 """Where a look starts: the nominal device's."""

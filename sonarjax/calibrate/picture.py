@@ -35,16 +35,18 @@ BEAM_WAYS = float(SensorModel().beam_ways)
 
 
 def object_layers(
-    mesh: Mesh, sonar: Sonar, start: Pose, step: Float[Array, "pose"], column: Int[Array, ""], size: WindowSize
-) -> Float[Array, "view layer range beam"]:
+    mesh: Mesh, sonar: Sonar, start: Pose, step: Float[Array, "pose"], floor_path: Any, column: Int[Array, ""],
+    size: WindowSize,
+) -> Float[Array, "view layer range beam"]:  # fmt: skip
     """Echo, highlight and shadow of the object and of its mirror image in the floor, as `render_layers`.
 
-    The window has all ranges and the beams from `column` on; `step` is yaw [rad], x, y [m] from `start`.
+    The window has all ranges and the beams from `column` on; `step` is yaw [rad], x, y [m] from `start`,
+    `floor_path` [1] that of `sensor.SensorModel`.
     """
     window = Window(0, column, size.shape, size.object_columns)
     quality = RenderQuality(sub_beams=1)
     subject = Subject(mesh, sonar, start, window, jnp.float32(0), jnp.int32(VIEWS["echo"]), nominal_law(), quality)
-    return render_layers(subject, step)
+    return render_layers(subject, step, floor_path=floor_path)
 
 
 def picture(

@@ -133,10 +133,11 @@ def linearise(
     count = len(free)
 
     def layers_at(geometry: Array) -> Array:
-        changed = changed_sonar(sonar, free, geometry[POSE:])
-        return object_layers(mesh, changed, seen.start, geometry[:POSE], seen.column, size)
+        changed = changed_sonar(sonar, free, geometry[POSE:-1])
+        return object_layers(mesh, changed, seen.start, geometry[:POSE], geometry[-1], seen.column, size)
 
-    geometry = jnp.concatenate([own[:POSE], shared[:count]])
+    path = count + Look._fields.index("floor_path")
+    geometry = jnp.concatenate([own[:POSE], shared[:count], shared[path][None]])
     layers, slopes = jax.vmap(lambda t: jax.jvp(layers_at, (geometry,), (t,)), out_axes=(None, 0))(
         jnp.eye(len(geometry))
     )
@@ -150,8 +151,9 @@ def linearise(
     at = layers, shared[:count], shared[count:], own[POSE]
     names = OWN + count + LOOKS
     by_own = jnp.eye(names)
+    where = np.array([*range(POSE), *range(OWN, OWN + count), OWN + path])
     tangents = (
-        jnp.zeros((names, *layers.shape)).at[:POSE].set(slopes[:POSE]).at[OWN : OWN + count].set(slopes[POSE:]),
+        jnp.zeros((names, *layers.shape)).at[where].set(slopes),
         by_own[:, OWN : OWN + count], by_own[:, OWN + count :], by_own[:, POSE],
     )  # fmt: skip
     found, jacobian = jax.vmap(lambda *t: jax.jvp(residual, at, t), out_axes=(None, 0))(*tangents)

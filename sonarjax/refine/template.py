@@ -139,13 +139,14 @@ def paint_with_slope(
 
 
 def render_layers(
-    subject: Subject, step: Float[Array, "pose"], reverse: bool = False
+    subject: Subject, step: Float[Array, "pose"], reverse: bool = False, floor_path: Any = FLOOR_PATH
 ) -> Float[Array, "view layer range beam"]:
     """Echo, highlight and shadow of the object at `step` (pose,) [rad, m], and of its mirror image in the floor.
 
-    The mirror image is left dark where the template takes one view. `reverse` as in `draw`.
+    The mirror image is left dark where the template takes one view. `reverse` as in `draw`, `floor_path` [1] as in
+    `sensor.SensorModel`.
     """
-    views = _views(subject, pose_at(subject.start, step, subject.free))
+    views = _views(subject, pose_at(subject.start, step, subject.free), floor_path)
 
     def seen(view: Any) -> Array:
         vertices, faces, lift, height, aperture = view
@@ -177,10 +178,10 @@ def semantic_template(layers: Float[Array, "view layer range beam"]) -> Float[Ar
     return semantic_image(highlight, shadow) - BACKGROUND
 
 
-def _views(subject: Subject, pose: Pose) -> tuple[Array, ...]:
+def _views(subject: Subject, pose: Pose, floor_path: Any) -> tuple[Array, ...]:
     """The object as it stands, and mirrored in the floor: vertices, faces, lift [m], sonar height [m] and aperture."""
     mesh, sonar = subject.mesh, subject.sonar
-    mirrored, lift, lifted = without_floor(bounce_mesh(mesh, pose, sonar, 0.0, FLOOR_PATH), sonar)
+    mirrored, lift, lifted = without_floor(bounce_mesh(mesh, pose, sonar, 0.0, floor_path), sonar)
     as_it_is = pose.to_ground(mesh.vertices), mesh.faces, 0.0, sonar.height, sonar.elevation_aperture
     bounced = mirrored.vertices, mirrored.faces, lift.z, lifted.height, lifted.elevation_aperture
     # The mirror image's own shadow is not looked at.

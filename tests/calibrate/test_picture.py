@@ -74,7 +74,7 @@ def test_the_simulators_mean_energy_is_the_pictures() -> None:
     mesh, pose = sj.objects.target(), sj.Pose(*(np.float32(v) for v in (2.3, 0.1, 0.7)))
     frame = replace(sj.render(mesh, pose, propagation.with_skirts(sonar)), sonar=sonar)
     wanted = np.asarray(received_energy(frame, device))
-    layers = object_layers(mesh, sonar, pose, jnp.zeros(3), jnp.int32(0), WindowSize(sonar.shape, sonar.n_beams))
+    layers = object_layers(mesh, sonar, pose, jnp.zeros(3), 1.0, jnp.int32(0), WindowSize(sonar.shape, sonar.n_beams))
     look = LOOK._replace(
         exponent=math.log(1 - 0.02), noise=-30.0, dark=-30.0, white=30.0, leak=-30.0, streak=-30.0, rim=1.0
     )
