@@ -243,8 +243,8 @@ class Recognizer:
         """Possible yaws, best first, the place (x, y) [m] of the best (a bin or refined), and what speaks for it."""
         if self.refine is None:
             bins = peak_bins(best.match.scores, best.yaws, self.search.hypotheses)
-            place = {"x": best.x, "y": best.y}
-            plain = [Hypothesis(_wrap(best.yaws[k]), float(best.match.scores[k]), None, **place) for k in bins]
+            scores = best.match.scores
+            plain = [Hypothesis(_wrap(best.yaws[k]), float(scores[k]), None, x=best.x, y=best.y) for k in bins]
             return _distinct(plain), best.x, best.y, None
         starts = make_starts(best, in_frame, seen, image, self.search.hypotheses)
         matched = len(starts)

@@ -1,4 +1,4 @@
-"""The belief over an object's pose and rate: a mixture of Gaussians with circular yaw, and its step from frame to frame.
+"""The belief over an object's pose and rate: a mixture of Gaussians with circular yaw, and its step by a frame.
 
 Each Gaussian follows one way to explain the frames: which hypothesis of each was right, or none (Reid, An Algorithm for
 Tracking Multiple Targets, IEEE Trans. Automatic Control 24, 1979); within it this is a Kalman filter. Beside yaw, x, y
@@ -28,7 +28,7 @@ SHARED = slice(4, 7)
 
 @record
 class Belief:
-    """What is known after a frame, in the common frame; its first component stands for 'anywhere', its Gaussian unused."""
+    """What is known after a frame, in the common frame; the first component stands for 'anywhere', without Gaussian."""
 
     log_weight: Float[Array, "*batch component"]
     """Logarithm of each component's probability; -inf where there is none."""
@@ -92,10 +92,9 @@ class Numbers:
 
 def numbers_of(motion: Motion, config: TrackConfig) -> Numbers:
     """The numbers of a motion and a config; evidence fades by exp(-1 / memory) a frame."""
-    turning = isinstance(motion, Turning)
+    rates = (motion.rate_std, motion.rate_drift) if isinstance(motion, Turning) else (0.0, 0.0)
     values = (
-        motion.rate_std if turning else 0.0, motion.rate_drift if turning else 0.0, motion.yaw_drift,
-        motion.place_drift, config.floor, config.place_floor, config.aspect, math.exp(-1 / config.memory),
+        *rates, motion.yaw_drift, motion.place_drift, config.floor, config.place_floor, config.aspect, math.exp(-1 / config.memory),
         config.merge, math.log(2 * math.pi * config.area),
     )  # fmt: skip
     return Numbers(*(jnp.float32(v) for v in values))
@@ -179,10 +178,10 @@ def predicted(
         aspect = jnp.sqrt(changed**2 + covariance[RATE, RATE] * elapsed**2)
         alike = jnp.exp(-aspect / numbers.aspect)
         transition = jnp.eye(STATES).at[YAW, RATE].set(elapsed).at[4, 4].set(alike)
-        noise = [numbers.yaw_drift**2, *[numbers.place_drift**2] * 2, numbers.rate_drift**2]
-        noise = jnp.stack([*(v * elapsed for v in noise), (1 - alike**2) * numbers.floor**2, 0.0 * alike, 0.0 * alike])
-        after = transition @ covariance @ transition.T + jnp.diag(noise)
-        return transition @ mean, after, transition, jnp.diag(noise)
+        drifts = numbers.yaw_drift, numbers.place_drift, numbers.place_drift, numbers.rate_drift
+        anew = (1 - alike**2) * numbers.floor**2
+        noise = jnp.diag(jnp.stack([*(v**2 * elapsed for v in drifts), anew, 0.0 * anew, 0.0 * anew]))
+        return transition @ mean, transition @ covariance @ transition.T + noise, transition, noise
 
     return jax.vmap(one)(belief.mean, belief.covariance)
 

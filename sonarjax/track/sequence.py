@@ -43,12 +43,13 @@ class Tracked:
     @property
     def best(self) -> Mode:
         """The likeliest mode; where nothing was seen yet, NaN with infinite standard deviations."""
-        return self.modes[0] if self.modes else Mode(*[math.nan] * 4, np.full((4, 4), np.inf), 0.0)
+        nan = math.nan
+        return self.modes[0] if self.modes else Mode(nan, nan, nan, nan, np.full((4, 4), np.inf), 0.0)
 
 
 @dataclass(frozen=True)
 class Track:
-    """What is believed after each frame, or with `smooth` after all of them; arrays (frame,), poses in the common frame."""
+    """What is believed after each frame, or with `smooth` after all; arrays (frame,), poses in the common frame."""
 
     yaw: np.ndarray
     """Yaw (frame,) of the likeliest mode [rad]; NaN before the target was first seen."""
@@ -108,14 +109,27 @@ class Tracker:
         What cannot be recognized costs this frame alone: the belief is predicted, and `error` says why.
         Raises SonarjaxError for a sonar's pose or a time that cannot be used.
         """
-        at = _sonar_numbers(sonar_pose)
+        _sonar_numbers(sonar_pose)
         _check_elapsed(elapsed)
         found, error = None, None
         try:
-            found = self.recognizer(image, mask, **self._options(at, elapsed))
+            found = self.recognize(image, mask, sonar_pose=sonar_pose, elapsed=elapsed)
         except SonarjaxError as problem:
             error = " ".join(str(problem).split())
         return self.take(found, sonar_pose=sonar_pose, elapsed=elapsed, error=error)
+
+    def recognize(
+        self, image: Any, mask: Any = None, *, sonar_pose: Pose | None = None, elapsed: float = 1.0
+    ) -> Recognition:
+        """What one frame (range, beam) says, refined from the predicted poses too; the belief stays as it is.
+
+        Raises SonarjaxError as a `Recognizer` does.
+        """
+        at = _sonar_numbers(sonar_pose)
+        options: dict[str, Any] = {"threshold": self.threshold}
+        if self.expect and self._begun and getattr(self.recognizer, "refine", None) is not None:
+            options["starts"] = self._starts(at, elapsed)
+        return self.recognizer(image, mask, **options)
 
     def take(
         self, found: Recognition | None, *, sonar_pose: Pose | None = None, elapsed: float = 1.0,
@@ -133,19 +147,17 @@ class Tracker:
         return Tracked(modes_of(self.belief), found, error, self.belief)
 
     def expected(self, sonar_pose: Pose | None = None, elapsed: float = 1.0) -> tuple[Mode, ...]:
-        """The modes where they will be, in the common frame, when a frame is taken from `sonar_pose` after `elapsed`."""
+        """The modes as they will be in the common frame after `elapsed` [frames], the sonar then at `sonar_pose`."""
         at = _sonar_numbers(sonar_pose)
         mean, covariance, _, _ = _predict(self.belief, at, np.float32(elapsed), self.numbers)
         belief = Belief(**{**vars(self.belief), "mean": mean, "covariance": covariance})
         return modes_of(belief)
 
-    def _options(self, at: np.ndarray, elapsed: float) -> dict[str, Any]:
-        options: dict[str, Any] = {"threshold": self.threshold}
-        if not self.expect or not self._begun or getattr(self.recognizer, "refine", None) is None:
-            return options
+    def _starts(self, at: np.ndarray, elapsed: float) -> list[Pose]:
+        """Where the target is expected in the frame of a sonar at `at` (3,)."""
         modes = self.expected(Pose(*at.tolist()), elapsed)[:MOST_EXPECTED]
         known = [m for m in modes if m.probability >= LEAST_EXPECTED and m.yaw_std <= WELL_KNOWN]
-        return options | {"starts": [seen_from(mode, at) for mode in known]}
+        return [seen_from(mode, at) for mode in known]
 
 
 _predict = jax.jit(predicted)

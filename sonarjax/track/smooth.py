@@ -8,6 +8,7 @@ weight of a history at a frame is what the filter gave it there and what the lat
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -33,7 +34,7 @@ def run_smoother(beliefs: Belief, numbers: Numbers) -> Belief:
     alive = jnp.where(jnp.isfinite(last.log_weight), 0.0, -jnp.inf)
     start = jnp.arange(len(last.log_weight)), last.mean, last.covariance, alive
 
-    def one(carry: tuple[Array, ...], pair: tuple[Belief, Belief]) -> tuple[tuple[Array, ...], Belief]:
+    def one(carry: Any, pair: Any) -> tuple[Any, Belief]:
         which, mean, covariance, added = carry
         before, after = pair
         parent = after.parent[which]
