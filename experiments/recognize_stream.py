@@ -7,9 +7,9 @@ One JSON line a frame goes into the run's folder as soon as it is known, and a s
 last line; at the end yaw over time is drawn. Without --source a simulated target turns, and every way to go through the
 stream is measured against the truth: `recognize`, each frame anew; `track map`, which segments each frame but starts
 refining at the last frame's pose; `track frame`, which refines on the frame itself and does without the network; and
-`track belief`, which recognizes each frame and weighs its hypotheses by what all frames so far say. Where a template that
-was tracked on map or frame correlates less than the threshold, that frame is recognized anew; on the wrong yaw these two
-stay there as long as it correlates well enough.
+`track belief`, which recognizes each frame and weighs its hypotheses by what all frames so far say. Where a template
+that was tracked on map or frame correlates less than the threshold, that frame is recognized anew; on the wrong yaw
+these two ways stay there as long as it correlates well enough.
 
 The sonar stands still: a vehicle whose tilt or height changes would need a bank for each frame, and is out of scope.
 """

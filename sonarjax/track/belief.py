@@ -86,6 +86,8 @@ class Numbers:
     """What is left of a log-weight after a frame [1]."""
     merge: Float[Array, "*batch"]
     """As in `TrackConfig` [1]."""
+    alias: Float[Array, "*batch"]
+    """As in `TrackConfig` [1]."""
     log_volume: Float[Array, "*batch"]
     """Logarithm of 2π times the floor over which wrong hypotheses lie [rad m²]."""
 
@@ -94,8 +96,8 @@ def numbers_of(motion: Motion, config: TrackConfig) -> Numbers:
     """The numbers of a motion and a config; evidence fades by exp(-1 / memory) a frame."""
     rates = (motion.rate_std, motion.rate_drift) if isinstance(motion, Turning) else (0.0, 0.0)
     values = (
-        *rates, motion.yaw_drift, motion.place_drift, config.floor, config.place_floor, config.aspect, math.exp(-1 / config.memory),
-        config.merge, math.log(2 * math.pi * config.area),
+        *rates, motion.yaw_drift, motion.place_drift, config.floor, config.place_floor, config.aspect,
+        math.exp(-1 / config.memory), config.merge, config.alias, math.log(2 * math.pi * config.area),
     )  # fmt: skip
     return Numbers(*(jnp.float32(v) for v in values))
 
@@ -129,13 +131,14 @@ def step(belief: Belief, reading: Reading, numbers: Numbers) -> Belief:
     fits = jax.vmap(lambda m, p: jax.vmap(lambda h, s: _kalman(m, p, h, s, reading.sonar))(reading.pose, reading.std))
     likelihood, new_mean, new_covariance = fits(mean, covariance)
     # Wrong hypotheses lie anywhere: all likelihoods are relative to their density, 1 / (2π area).
-    hit = before[:, None] + reading.log_weight + likelihood + numbers.log_volume
-    missed = before + reading.log_miss
+    real = slice(1, None)  # without 'anywhere'
+    density = likelihood + numbers.log_volume
+    hit = before[:, None] + reading.log_weight + density
+    missed = before + reading.log_miss + _alike(density[real], before[real], reading, numbers)
     born = before[0] + reading.log_weight
     start_mean, start_covariance = jax.vmap(lambda h, s: _first(h, s, reading.sonar, numbers))(
         reading.pose, reading.std
     )
-    real = slice(1, None)  # without 'anywhere'
     numbers_of_parents = jnp.arange(many)
     parts = [
         Mixture(
@@ -161,6 +164,20 @@ def step(belief: Belief, reading: Reading, numbers: Numbers) -> Belief:
         sonar=reading.sonar,
         elapsed=reading.elapsed,
     )
+
+
+def _alike(density: Array, log_weight: Array, reading: Reading, numbers: Numbers) -> Array:
+    """Log of how likely a frame's hypotheses are when none is right, relative to their lying anywhere.
+
+    A share of wrong ones lies where a wrong one did before: at the other yaws at which an object looks much the same.
+    Were all thought to lie anywhere, two of them in a row would outweigh any belief.
+    """
+    known = jnp.where(jnp.isfinite(log_weight)[:, None], density, -jnp.inf)
+    nearest = known.max(axis=0) + reading.log_weight
+    total = jax.scipy.special.logsumexp(reading.log_weight)
+    some = jnp.isfinite(total)
+    again = jnp.where(some, jax.scipy.special.logsumexp(nearest) - jnp.where(some, total, 0.0), 0.0)
+    return jnp.logaddexp(jnp.log1p(-numbers.alias), jnp.log(numbers.alias) + again)
 
 
 def predicted(

@@ -50,26 +50,29 @@ Motion = Standing | Turning
 class TrackConfig:
     """How frames are weighed. Defaults come from drawn validation sequences (experiments/fit_tracking.py)."""
 
-    softness: float = 0.02
+    softness: float = 0.01
     """By how much a hypothesis' score must be lower to be e times less likely [NCC]."""
-    memory: float = 20.0
+    memory: float = 8.0
     """Frames over which evidence for one hypothesis against another adds up: what is older fades.
 
     Errors of neighbouring frames are alike, so hundreds of frames that prefer one of two equal hypotheses by a little
     must not decide; and a belief that was right for hundreds of frames must be able to change."""
-    misses: float = 0.05
+    misses: float = 0.02
     """Share of frames that show the target and have no right hypothesis [1]."""
-    floor: float = math.radians(0.4)
+    alias: float = 0.1
+    """Share of wrong hypotheses that lie where another one is believed in [1], not anywhere: objects look alike at
+    some other yaws, and a frame's errors are much like those of the frame before."""
+    floor: float = math.radians(0.53)
     """Standard deviation of the part of the yaw's error that all frames of one aspect share [rad]."""
-    aspect: float = math.radians(10.0)
+    aspect: float = math.radians(6.0)
     """Change of the aspect over which that part is another by a factor of e [rad]."""
-    place_floor: float = 0.01
+    place_floor: float = 0.005
     """Standard deviation of the error of x and of y that all frames share, in the sonar's frame [m]."""
-    place_std: float = 0.01
+    place_std: float = 0.005
     """Standard deviation of the error of x and of y that differs from frame to frame [m]."""
-    yaw_scale: float = 1.0
-    """Factor on the recognizer's `yaw_std` [1]."""
-    tail: float = 0.1
+    yaw_scale: float = 0.6
+    """Part of the recognizer's `yaw_std` that differs from frame to frame [1]; `floor` is joined to it in quadrature."""
+    tail: float = 0.2
     """Share of right hypotheses whose errors are `tail_scale` times as large [1]: the tails are heavier than normal."""
     tail_scale: float = 4.0
     """Factor on the standard deviations of those [1]."""
@@ -85,10 +88,10 @@ class TrackConfig:
     def __post_init__(self) -> None:
         """Raises SonarjaxError for numbers that no tracker can have."""
         _check(self)
-        shares = self.misses, self.tail
+        shares = self.misses, self.tail, self.alias
         lengths = self.softness, self.memory, self.floor, self.aspect, self.place_floor, self.place_std, self.area
         if not all(0 < v < 1 for v in shares):
-            raise SonarjaxError(f"TrackConfig: expected misses and tail between 0 and 1, got {shares}")
+            raise SonarjaxError(f"TrackConfig: expected misses, tail and alias between 0 and 1, got {shares}")
         if not all(v > 0 for v in (*lengths, self.yaw_scale, self.tail_scale, self.merge)):
             raise SonarjaxError(f"TrackConfig: expected positive numbers, got {self}")
         if self.components < 2 or self.hypotheses < 1:

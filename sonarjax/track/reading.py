@@ -14,8 +14,6 @@ from sonarjax.track.motion import TrackConfig
 
 UNRULED = {True: 0.9, False: 0.1}
 """Probability of a frame that a plain threshold identified, and of one that it did not, where no rule gives any."""
-LEAST_SHARE = 0.25
-"""Share of a hypothesis' variance that differs from frame to frame, at least."""
 LEAST_PROBABILITY = 1e-4
 """Modes of a belief below it are not told."""
 
@@ -80,10 +78,9 @@ def probability(found: Recognition) -> float:
 
 
 def _yaw_std(one: Hypothesis, yaw_bins: int, config: TrackConfig) -> float:
-    """Standard deviation [rad] of what differs from frame to frame: the rest of the error bar is shared."""
+    """Standard deviation [rad] of what differs from frame to frame."""
     whole = 2 * math.pi / yaw_bins / math.sqrt(12) if one.yaw_std is None else one.yaw_std
-    variance = (config.yaw_scale * whole) ** 2
-    return math.sqrt(max(variance - config.floor**2, LEAST_SHARE * variance)) if math.isfinite(variance) else math.inf
+    return config.yaw_scale * whole
 
 
 def _place(one: Hypothesis, found: Recognition) -> tuple[float, float]:
