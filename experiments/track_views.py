@@ -6,8 +6,9 @@ Drawn devices look at a standing object; speckle differs from frame to frame, th
 tilt and height do not. After n views the belief should err by no more than 1.2·√(RMS(1)²/n + floor²), with RMS(1) of
 single frames, and the floor of what all frames of a view err alike, which no number of them averages out: it is
 measured (one-way analysis of variance of the frames' own errors). Seen from known places all around, it does average
-out. A pile that is the same after half a turn must keep both its yaws. With the real frames of `real_turntable` (--data,
-or SONARJAX_REAL_DATA), its pipe's turn is followed at a rate that is not told. Nothing is chosen on any of these frames.
+out. A pile that is the same after half a turn must keep both its yaws. With the real frames of `real_turntable`
+(--data, or SONARJAX_REAL_DATA), its pipe's turn is followed at a rate that is not told. Nothing is chosen on any of
+these frames.
 """
 
 from __future__ import annotations
@@ -28,11 +29,11 @@ from experiments import real_turntable
 from experiments.common.engine import engine
 from experiments.common.frames import GROUND_RANGE_M, sonar_for
 from experiments.common.launch import Report, Skipped, launch
-from experiments.common.metrics import columns, yaw_error_deg
+from experiments.common.metrics import columns
 from experiments.common.runs import Job
 from experiments.common.sequences import TILT_DEG, Device, draw_device, kept, recognized, taken_up
 from experiments.symmetric_objects import brick_pair
-from sonarjax.track.reading import Mode
+from sonarjax.track import Mode, modes_of
 from sonarjax.track.sequence import joined, seen_from
 
 VIEWS = (1, 2, 4, 8, 16)
@@ -137,7 +138,10 @@ def _tracker(motion: Any) -> sj.Tracker:
 
 
 def floor_deg(sequences: Sequence[list[dict[str, Any]]]) -> float:
-    """Standard deviation [deg] of what all frames of one view err alike: √(mean² - within²/n), astray frames left out."""
+    """Standard deviation [deg] of what all frames of one view err alike: √(mean² - within²/n).
+
+    Frames that went astray are left out.
+    """
     means, within = [], []
     for rows in sequences:
         error = np.array([_off_deg(row["yaw"], row["true"][0]) for row in rows])
@@ -181,15 +185,11 @@ def view_rows(name: str, sequences: Sequence[list[dict[str, Any]]], floor: float
 
 
 def _last(tracker: sj.Tracker) -> Mode:
-    from sonarjax.track import modes_of
-
     return modes_of(tracker.belief)[0]
 
 
 def symmetry(sequences: Sequence[list[dict[str, Any]]]) -> dict[str, float]:
     """Of a pile that is the same after half a turn: in how many frames both yaws are held possible, and how likely."""
-    from sonarjax.track import modes_of
-
     both, second = [], []
     for rows in sequences:
         tracker = _tracker(sj.Standing())

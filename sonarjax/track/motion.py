@@ -71,7 +71,7 @@ class TrackConfig:
     place_std: float = 0.005
     """Standard deviation of the error of x and of y that differs from frame to frame [m]."""
     yaw_scale: float = 0.6
-    """Part of the recognizer's `yaw_std` that differs from frame to frame [1]; `floor` is joined to it in quadrature."""
+    """Part of the recognizer's `yaw_std` that differs from frame to frame [1]; `floor` joins it in quadrature."""
     tail: float = 0.2
     """Share of right hypotheses whose errors are `tail_scale` times as large [1]: the tails are heavier than normal."""
     tail_scale: float = 4.0
