@@ -49,7 +49,7 @@ TRIED: dict[str, tuple[float, ...]] = {
     "misses": (0.01, 0.02, 0.05, 0.1),
     "yaw_scale": (0.3, 0.45, 0.6, 0.8, 1.0, 1.2),
     "tail": (0.05, 0.1, 0.2, 0.3),
-    "tail_scale": (2.5, 4.0, 6.0),
+    "tail_scale": (2.5, 4.0, 6.0, 9.0),
     "aspect": tuple(math.radians(v) for v in (3.0, 6.0, 12.0, 24.0)),
 }
 """Settings in the order in which they are chosen."""

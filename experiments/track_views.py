@@ -18,7 +18,6 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from types import SimpleNamespace
 from typing import Any
 
 import jax
@@ -31,7 +30,7 @@ from experiments.common.frames import GROUND_RANGE_M, sonar_for
 from experiments.common.launch import Report, Skipped, launch
 from experiments.common.metrics import columns
 from experiments.common.runs import Job
-from experiments.common.sequences import TILT_DEG, Device, draw_device, kept, recognized, taken_up
+from experiments.common.sequences import TILT_DEG, Device, Replayed, draw_device, kept, recognized, taken_up
 from experiments.symmetric_objects import brick_pair
 from sonarjax.track import Mode, modes_of
 from sonarjax.track.sequence import joined, seen_from
@@ -133,8 +132,7 @@ def followed(rows: Sequence[dict[str, Any]], motion: Any = sj.Standing()) -> sj.
 
 def _tracker(motion: Any) -> sj.Tracker:
     """A tracker of frames that were recognized before."""
-    nobody: Any = SimpleNamespace(targets={"target": None}, refine=None, search=sj.SearchConfig())
-    return sj.Tracker(nobody, motion)
+    return sj.Tracker(Replayed(), motion)
 
 
 def floor_deg(sequences: Sequence[list[dict[str, Any]]]) -> float:

@@ -92,6 +92,15 @@ def taken_up(row: dict[str, Any]) -> Recognition:
     )  # fmt: skip
 
 
+class Replayed(sj.Recognizer):
+    """Stands for the recognizer of frames that were recognized before, in a `Tracker` that takes what it said."""
+
+    def __init__(self) -> None:
+        """It has one target and prepares nothing."""
+        self.targets: Any = {"target": None}
+        self.search, self.refine = sj.SearchConfig(), None
+
+
 def truths(rows: Sequence[dict[str, Any]]) -> np.ndarray:
     """True yaw [rad], x and y [m] of each frame (frame, 3)."""
     return np.array([row["true"] for row in rows], float)

@@ -44,6 +44,8 @@ class Belief:
     """Where the sonar was: x, y [m] and yaw [rad]."""
     elapsed: Float[Array, "*batch"]
     """Time since the frame before [frames]."""
+    fading: Float[Array, "*batch"]
+    """What this frame left of the log-weights before it [1]: all, if it said nothing."""
 
 
 @record
@@ -116,6 +118,7 @@ def nothing_known(config: TrackConfig) -> Belief:
         gain=jnp.zeros(count),
         sonar=jnp.zeros(3),
         elapsed=jnp.zeros(()),
+        fading=jnp.ones(()),
     )
 
 
@@ -125,7 +128,8 @@ def step(belief: Belief, reading: Reading, numbers: Numbers) -> Belief:
     A component's yaw stays in [0, 2π). A `reading` whose hypotheses all have weight -inf only predicts.
     """
     mean, covariance, _, _ = predicted(belief, reading.sonar, reading.elapsed, numbers)
-    before = numbers.fading * belief.log_weight
+    fading = jnp.where(jnp.isfinite(reading.log_weight).any(), numbers.fading, 1.0)
+    before = fading * belief.log_weight
     before = before - jax.scipy.special.logsumexp(before)
     many, count = len(before), reading.log_weight.shape[0]
     fits = jax.vmap(lambda m, p: jax.vmap(lambda h, s: _kalman(m, p, h, s, reading.sonar))(reading.pose, reading.std))
@@ -163,6 +167,7 @@ def step(belief: Belief, reading: Reading, numbers: Numbers) -> Belief:
         gain=jnp.where(jnp.isfinite(gain), gain, -jnp.inf),
         sonar=reading.sonar,
         elapsed=reading.elapsed,
+        fading=fading,
     )
 
 

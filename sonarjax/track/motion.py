@@ -74,7 +74,7 @@ class TrackConfig:
     """Part of the recognizer's `yaw_std` that differs from frame to frame [1]; `floor` joins it in quadrature."""
     tail: float = 0.2
     """Share of right hypotheses whose errors are `tail_scale` times as large [1]: the tails are heavier than normal."""
-    tail_scale: float = 4.0
+    tail_scale: float = 6.0
     """Factor on the standard deviations of those [1]."""
     area: float = 1.0
     """Floor over which a wrong hypothesis may lie anywhere [m²]."""

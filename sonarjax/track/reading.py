@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from sonarjax.recognize import SAME_YAW, Hypothesis, Recognition
@@ -67,7 +68,7 @@ def reading_of(
             miss = 0.0
     flat = pose.reshape(-1, 3), np.where(np.isfinite(std), std, 1.0).reshape(-1, 3)
     values = (weight.reshape(-1), np.asarray(miss), *flat, np.asarray(sonar), np.asarray(elapsed))
-    return Reading(*(np.asarray(v, np.float32) for v in values))  # type: ignore[arg-type]
+    return Reading(*(jnp.asarray(v, jnp.float32) for v in values))
 
 
 def probability(found: Recognition) -> float:
@@ -120,5 +121,5 @@ def modes_of(belief: Belief) -> tuple[Mode, ...]:
 
 def each_of(beliefs: Belief) -> list[Belief]:
     """Beliefs (frame, component), one by one."""
-    parts: dict[str, Any] = {name: np.asarray(value) for name, value in vars(beliefs).items()}
-    return [Belief(**{name: value[k] for name, value in parts.items()}) for k in range(len(parts["elapsed"]))]
+    whole = jax.tree.map(np.asarray, beliefs)
+    return [jax.tree.map(lambda v, k=k: v[k], whole) for k in range(len(whole.elapsed))]

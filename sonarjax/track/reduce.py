@@ -14,6 +14,11 @@ LEAST_STD = 1e-4
 """Differences below are none [rad, m, rad/frame], however sure a component is."""
 
 
+ALIKE = 1.5
+"""Largest ratio of the standard deviations of yaw of components that are joined: a frame that may be far off is another
+explanation than the same frame taken at its word, and their mean would be neither."""
+
+
 class Mixture(NamedTuple):
     """Weighted Gaussians, and which earlier one each continues."""
 
@@ -32,7 +37,8 @@ def reduced(mixture: Mixture, count: int, merge: Array) -> Mixture:
     """`count` components: again and again the heaviest is joined by all within `merge` of its standard deviations.
 
     Mean and covariance of what is joined are kept (Salmond, Mixture Reduction Algorithms for Target Tracking in
-    Clutter, 1990); nothing far apart is. Yaw is the first number of the state and circular.
+    Clutter, 1990); nothing far apart is, nor what differs much in how sure it is. Yaw is the first number, and
+    circular.
     """
 
     def one(left: Array, _: None) -> tuple[Array, Mixture]:
@@ -41,6 +47,8 @@ def reduced(mixture: Mixture, count: int, merge: Array) -> Mixture:
         apart = apart.at[:, 0].set(wrapped(apart[:, 0]))
         std = jnp.sqrt(jnp.maximum(jnp.diag(mixture.covariance[best])[:COMPARED], LEAST_STD**2))
         near = (jnp.abs(apart[:, :COMPARED]) <= merge * std).all(axis=1)
+        ratio = mixture.covariance[:, 0, 0] / jnp.maximum(mixture.covariance[best, 0, 0], LEAST_STD**2)
+        near &= (ratio <= ALIKE**2) & (ratio >= ALIKE**-2)
         near = near.at[best].set(True)
         chosen = jnp.where(near, left, -jnp.inf)
         total = jax.scipy.special.logsumexp(chosen)

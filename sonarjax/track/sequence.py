@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import jax
@@ -127,7 +127,7 @@ class Tracker:
         """
         at = _sonar_numbers(sonar_pose)
         options: dict[str, Any] = {"threshold": self.threshold}
-        if self.expect and self._begun and getattr(self.recognizer, "refine", None) is not None:
+        if self.expect and self._begun and self.recognizer.refine is not None:
             options["starts"] = self._starts(at, elapsed)
         return self.recognizer(image, mask, **options)
 
@@ -139,9 +139,7 @@ class Tracker:
         at = _sonar_numbers(sonar_pose)
         _check_elapsed(elapsed)
         elapsed = elapsed if self._begun else 0.0
-        search = getattr(self.recognizer, "search", None)
-        bins = 36 if search is None else search.yaw_bins
-        reading = reading_of(found, bins, self.config, at, elapsed)
+        reading = reading_of(found, self.recognizer.search.yaw_bins, self.config, at, elapsed)
         self._begun = True
         self.belief = next_belief(self.belief, reading, self.numbers)
         return Tracked(modes_of(self.belief), found, error, self.belief)
@@ -149,9 +147,8 @@ class Tracker:
     def expected(self, sonar_pose: Pose | None = None, elapsed: float = 1.0) -> tuple[Mode, ...]:
         """The modes as they will be in the common frame after `elapsed` [frames], the sonar then at `sonar_pose`."""
         at = _sonar_numbers(sonar_pose)
-        mean, covariance, _, _ = _predict(self.belief, at, np.float32(elapsed), self.numbers)
-        belief = Belief(**{**vars(self.belief), "mean": mean, "covariance": covariance})
-        return modes_of(belief)
+        mean, covariance, _, _ = _predict(self.belief, jnp.asarray(at), jnp.float32(elapsed), self.numbers)
+        return modes_of(replace(self.belief, mean=mean, covariance=covariance))
 
     def _starts(self, at: np.ndarray, elapsed: float) -> list[Pose]:
         """Where the target is expected in the frame of a sonar at `at` (3,)."""

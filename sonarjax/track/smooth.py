@@ -38,7 +38,7 @@ def run_smoother(beliefs: Belief, numbers: Numbers) -> Belief:
         which, mean, covariance, added = carry
         before, after = pair
         parent = after.parent[which]
-        added = numbers.fading * (added + after.gain[which])
+        added = after.fading * (added + after.gain[which])
         added = added - jax.scipy.special.logsumexp(added)
         expected, spread, transition, noise = (
             v[parent] for v in predicted(before, after.sonar, after.elapsed, numbers)
