@@ -27,7 +27,7 @@ PROJECT = Path(__file__).resolve().parent.parent
 SHAPE = (512, 96)
 SEGMENTERS = ("pix2pix", "none")
 WANTED = [*(f"fig{k:02}" for k in range(1, 9)), "tab03", "tab04", "sec32", "sec43", "sec44"]
-OWN = 12  # at least so many figures of our own
+OWN = 13  # at least so many figures of our own
 PAPER = {
     "tab03": [np.mean([0.6837, 0.7697, 0.5776, 0.7162]), 0.0, 0.5715],
     "tab04": [np.mean([0.5972, 0.6446, 0.4726, 0.5735]), 0.4709],
@@ -180,6 +180,14 @@ def make_turntable(runs: Path, rng: np.random.Generator) -> None:
     finish(runs, "real_turntable", turntable(rng, "recognize", "tight crop", "fixed window"))
 
 
+def make_tracks(runs: Path, rng: np.random.Generator) -> None:
+    keys = ("rms", "bar", "median", "std", "within_1", "astray", "place")
+    views = [row(rng, *keys, name=name, count=n, cases=3) for name in ("one place", "around") for n in (1, 2, 4, 8, 16)]
+    real = [row(rng, "within", "median", "p90", "most", way="recognize", frames=5)]
+    report = {"rows": views, "floor_deg": 0.4, "symmetric": {}, "real": real, "update_ms": {"median": 1.0, "p95": 2.0}}
+    finish(runs, "track_views", report, real={name: rng.uniform(-90, 90, 5) for name in ("alone", "smoothed")})
+
+
 def make_thresholds(runs: Path, rng: np.random.Generator, preset: str = "full") -> None:
     rows = [row(rng, *fit_threshold.HEADS, segmenter="pix2pix", threshold=0.7654)]
     finish(runs, "fit_threshold", {"rows": rows}, preset=preset)
@@ -189,7 +197,15 @@ def make_thresholds(runs: Path, rng: np.random.Generator, preset: str = "full") 
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder, rng = tmp_path_factory.mktemp("runs"), np.random.default_rng(0)
     make_bench(folder)
-    for make in (make_scenes, make_reproduction, make_yaws, make_ablations, make_segmenters, make_turntable):
+    for make in (
+        make_scenes,
+        make_reproduction,
+        make_yaws,
+        make_ablations,
+        make_segmenters,
+        make_turntable,
+        make_tracks,
+    ):
         make(folder, rng)
     return folder
 
