@@ -73,7 +73,7 @@ def recognized(device: Device, recognizer: sj.Recognizer, poses: Iterable[sj.Pos
 def kept(found: Recognition) -> dict[str, Any]:
     """What tracking needs of a recognition, as JSON's types."""
     hypotheses = [[h.yaw, h.score, h.yaw_std, h.converged, h.x, h.y] for h in found.hypotheses]
-    names = ("identified", "score", "score_bank", "yaw", "x", "y")
+    names = ("identified", "score", "score_bank", "threshold", "yaw", "x", "y")
     return {name: getattr(found, name) for name in names} | {"hypotheses": hypotheses}
 
 
@@ -86,8 +86,8 @@ def taken_up(row: dict[str, Any]) -> Recognition:
     best = hypotheses[0]
     return Recognition(
         identified=row["identified"], target="target", score=row["score"], score_bank=row["score_bank"],
-        score_refined=best.score, threshold=0.5, runner_up=None, margin=None, yaw_bin=math.nan, yaw=row["yaw"],
-        yaw_std=best.yaw_std, x=row["x"], y=row["y"], converged=best.converged, scores_by_yaw=np.empty(0),
+        score_refined=best.score, threshold=row.get("threshold", 0.5), runner_up=None, margin=None, yaw_bin=math.nan,
+        yaw=row["yaw"], yaw_std=best.yaw_std, x=row["x"], y=row["y"], converged=best.converged, scores_by_yaw=np.empty(0),
         hypotheses=hypotheses, segmenter="kept", semantic=np.empty((0, 0)),
     )  # fmt: skip
 

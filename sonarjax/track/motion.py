@@ -33,8 +33,8 @@ class Turning:
     """Standard deviation of the rate before the first frame [rad/frame]; its mean is 0: either way is as likely."""
     rate_drift: float = math.radians(0.5)
     """Standard deviation of the change of the rate from frame to frame [rad/frame]."""
-    yaw_drift: float = math.radians(1.0)
-    """Standard deviation of what yaw changes beyond the rate [rad]."""
+    yaw_drift: float = math.radians(3.0)
+    """Standard deviation of what yaw changes beyond the rate [rad]: what is turned by hand turns unevenly."""
     place_drift: float = 0.005
     """Standard deviation of the change of x and of y from frame to frame [m]."""
 

@@ -15,6 +15,9 @@ from sonarjax.track.motion import TrackConfig
 
 UNRULED = {True: 0.9, False: 0.1}
 """Probability of a frame that a plain threshold identified, and of one that it did not, where no rule gives any."""
+ROOT = math.sqrt(2.0)
+ONE_STD = math.erf(1 / ROOT)
+HALVINGS, TINY = 24, 1e-9
 LEAST_PROBABILITY = 1e-4
 """Modes of a belief below it are not told."""
 
@@ -33,13 +36,12 @@ class Mode:
     """By how much yaw grows [rad/frame]."""
     covariance: np.ndarray
     """Covariance (state, state) of yaw, x, y and rate."""
+    yaw_std: float
+    """Half of the interval around `yaw` that holds 68 % of this mode [rad]: a normal distribution's standard deviation.
+
+    Tails make the root of the covariance's entry larger."""
     probability: float
     """Probability of this one among all, and of being somewhere else [1]."""
-
-    @property
-    def yaw_std(self) -> float:
-        """Standard deviation of the yaw [rad]."""
-        return math.sqrt(max(float(self.covariance[0, 0]), 0.0))
 
 
 def reading_of(
@@ -72,10 +74,16 @@ def reading_of(
 
 
 def probability(found: Recognition) -> float:
-    """That the target is shown in a frame [1]: the score where a rule made it, else by the threshold alone."""
+    """That the target is shown in a frame [1]: the score where a rule made it, else by the threshold alone.
+
+    A threshold that is not one half says where the odds are even: whoever lowers it knows that the target is more often
+    there than in the rule's validation frames.
+    """
     if found.score == found.score_bank:
         return UNRULED[bool(found.identified)]
-    return min(max(found.score, 0.0), 1.0)
+    score, even = (min(max(value, 0.0), 1.0) for value in (found.score, found.threshold))
+    shown, absent = score * (1 - even), even * (1 - score)
+    return shown / (shown + absent) if shown + absent > 0 else float(found.identified)
 
 
 def _yaw_std(one: Hypothesis, yaw_bins: int, config: TrackConfig) -> float:
@@ -114,9 +122,23 @@ def modes_of(belief: Belief) -> tuple[Mode, ...]:
         own = np.einsum("k,kij->ij", share, covariance[:, : RATE + 1, : RATE + 1])
         yaw, x, y, rate = (mean[best, : RATE + 1] + middle).tolist()
         spread = own + np.einsum("k,ki,kj->ij", share, around, around)
-        found.append(Mode(yaw % (2 * math.pi), x, y, rate, spread, total))
+        width = _half_width(share, around[:, YAW], np.sqrt(np.maximum(covariance[:, YAW, YAW], 0.0)))
+        found.append(Mode(yaw % (2 * math.pi), x, y, rate, spread, width, total))
         weight = np.where(alike, 0.0, weight)
     return tuple(sorted(found, key=lambda mode: -mode.probability))
+
+
+def _half_width(share: np.ndarray, middle: np.ndarray, std: np.ndarray) -> float:
+    """Half-width about 0 that holds as much of a mixture as one standard deviation does of a normal distribution."""
+    used = [
+        (s, m, max(d, TINY)) for s, m, d in zip(share.tolist(), middle.tolist(), std.tolist(), strict=True) if s > 0
+    ]
+    low, high = 0.0, max(abs(m) + 2 * d for _, m, d in used)
+    for _ in range(HALVINGS):
+        width = (low + high) / 2
+        held = sum(s * (math.erf((width - m) / d / ROOT) + math.erf((width + m) / d / ROOT)) / 2 for s, m, d in used)
+        low, high = (width, high) if held < ONE_STD else (low, width)
+    return (low + high) / 2
 
 
 def each_of(beliefs: Belief) -> list[Belief]:

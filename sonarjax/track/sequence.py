@@ -44,7 +44,7 @@ class Tracked:
     def best(self) -> Mode:
         """The likeliest mode; where nothing was seen yet, NaN with infinite standard deviations."""
         nan = math.nan
-        return self.modes[0] if self.modes else Mode(nan, nan, nan, nan, np.full((4, 4), np.inf), 0.0)
+        return self.modes[0] if self.modes else Mode(nan, nan, nan, nan, np.full((4, 4), np.inf), math.inf, 0.0)
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +13,7 @@ import pytest
 import sonarjax as sj
 from sonarjax.track import Standing, TrackConfig, Turning, modes_of, next_belief, nothing_known, numbers_of, reading_of
 from sonarjax.track.belief import run_filter
-from sonarjax.track.reading import each_of
+from sonarjax.track.reading import each_of, probability
 from tests.track.readings import STD, Reader, found
 
 # One Gaussian for each hypothesis, with the whole of its error bar; hardly any misses.
@@ -250,3 +251,28 @@ def test_beliefs_one_by_one():
     parts = each_of(beliefs)
     assert len(parts) == 6
     np.testing.assert_array_equal(parts[-1].mean, np.asarray(beliefs.mean[-1]))
+
+
+def test_a_lowered_threshold_says_that_the_target_is_there():
+    """Even odds at the threshold: p' = p (1 - t) / (p (1 - t) + t (1 - p))."""
+    frame = found([1.0], probability=0.02)
+    assert probability(replace(frame, threshold=0.5)) == pytest.approx(0.02)
+    assert probability(replace(frame, threshold=0.02)) == pytest.approx(0.5)
+    assert probability(replace(frame, threshold=0.0)) == 1.0
+    bank = replace(frame, score_bank=frame.score)  # no rule made this score
+    assert probability(replace(bank, identified=True)) > 0.5 > probability(replace(bank, identified=False))
+
+
+def test_an_error_bar_holds_what_a_standard_deviation_does():
+    """Of two Gaussians about one yaw, against the normal distribution's integral by a fine sum."""
+    config = TrackConfig(components=3)
+    belief = nothing_known(config)
+    covariance = np.tile(np.eye(7, dtype=np.float32) * 1e-4, (3, 1, 1))
+    covariance[2, 0, 0] = 9e-4
+    belief = replace(belief, log_weight=jnp.log(jnp.array([0.0, 0.6, 0.4])), covariance=jnp.asarray(covariance))
+    (mode,) = modes_of(belief)
+    at = np.linspace(-0.2, 0.2, 40001)
+    density = sum(w * np.exp(-((at / s) ** 2) / 2) / s for w, s in ((0.6, 0.01), (0.4, 0.03))) / math.sqrt(2 * math.pi)
+    held = density[np.abs(at) <= mode.yaw_std].sum() * (at[1] - at[0])
+    assert held == pytest.approx(0.6827, abs=1e-3)
+    assert math.sqrt(mode.covariance[0, 0]) > mode.yaw_std

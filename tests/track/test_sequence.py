@@ -209,3 +209,10 @@ def test_a_turning_object_is_followed_from_frames(monkeypatch):
     assert np.hypot(found_in.x - 2.3, found_in.y - 0.05).max() < 0.02
     assert len(calls[0]) == 0 and len(calls[3]) >= 1
     assert off_deg(float(calls[3][0].yaw), yaws[3]) < 5
+    # Poses to start from: at the truth one of the hypotheses is right; far out of view nothing is changed.
+    alone = recognizer(images[0], threshold=0.0)
+    started = recognizer(images[0], threshold=0.0, starts=[sj.Pose(2.31, 0.05, yaws[0] + 0.03)])
+    assert min(off_deg(h.yaw, yaws[0]) for h in started.hypotheses) < 1
+    far = recognizer(images[0], threshold=0.0, starts=[sj.Pose(30.0, 5.0, 0.0)])
+    assert far.yaw == pytest.approx(alone.yaw, abs=1e-3)
+    assert len(far.hypotheses) == len(alone.hypotheses)
