@@ -6,9 +6,10 @@ python -m experiments.recognize_stream [--preset smoke] [--help]
 One JSON line a frame goes into the run's folder as soon as it is known, and a stream that was cut off goes on after its
 last line; at the end yaw over time is drawn. Without --source a simulated target turns, and every way to go through the
 stream is measured against the truth: `recognize`, each frame anew; `track map`, which segments each frame but starts
-refining at the last frame's pose; `track frame`, which refines on the frame itself and does without the network. Where
-a tracked template correlates less than the threshold, that frame is recognized anew. A tracker on the wrong yaw stays
-there as long as it correlates well enough: only recognition weighs hypotheses.
+refining at the last frame's pose; `track frame`, which refines on the frame itself and does without the network; and
+`track belief`, which recognizes each frame and weighs its hypotheses by what all frames so far say. Where a template
+that was tracked on map or frame correlates less than the threshold, that frame is recognized anew; on the wrong yaw
+these two ways stay there as long as it correlates well enough.
 
 The sonar stands still: a vehicle whose tilt or height changes would need a bank for each frame, and is out of scope.
 """
@@ -36,10 +37,10 @@ from experiments.common.metrics import columns, yaw_error_deg
 from experiments.common.runs import Job, code_digest
 from experiments.common.scores import target
 from experiments.common.stream import WAYS, Finder, Named, frames_of, picture, seconds_of, taken_up, turning
-from sonarjax.cli import SCHEMA, record_of
 from sonarjax.io import JsonLines, SonarjaxError
 from sonarjax.plot import save_figure
 from sonarjax.sensor import SensorModel
+from sonarjax.track.lines import SCHEMA, record_of
 
 SIMULATED_TILT_DEG = 20.0
 ASTRAY_DEG = 10.0
@@ -70,8 +71,9 @@ class Settings:
     """Least score of a recognized target; NaN for the segmenter's own. Tracking asks for the segmenter's NCC."""
     track: bool = False
     """Refine a source's frames from the last one's pose instead of recognizing each anew."""
-    track_on: Literal["map", "frame"] = "map"
-    """What a tracked pose is refined on: the segmenter's map and then the frame, or the frame alone."""
+    track_on: Literal["map", "frame", "belief"] = "map"
+    """What a tracked pose is refined on: the segmenter's map and then the frame, or the frame alone; or a belief that
+    all frames so far feed."""
     every: int = 1
     """Take only one of so many frames."""
     limit: int = 0

@@ -42,13 +42,15 @@ from sonarjax.scene import Mesh, Pose, objects, stack_meshes
 from sonarjax.segment import GeneratorWeights, Segmenter, load_segmenter, segment
 from sonarjax.sensor import SensorModel, observe
 from sonarjax.sonar import FloorPatch, Sonar
+from sonarjax.track import Standing, Track, TrackConfig, Tracker, Turning, track
 
 __version__ = "0.1.0"
 
 __all__ = [
     "Calibration", "Engine", "FloorPatch", "GeneratorWeights", "LeanSearchConfig", "Mesh", "Pose", "PoseEstimate",
     "PoseFinder", "Recognition", "Recognizer", "RefineConfig", "RenderQuality", "SearchConfig", "Segmenter",
-    "SensorModel", "Sonar", "SonarFrame", "SonarjaxError", "TemplateBank", "Window", "WindowSize", "YawEstimate",
-    "calibrate", "load_segmenter", "match_bank", "match_positions", "objects", "observe", "plan_refinement",
-    "plan_window", "recognize", "refine_pose", "refine_yaw", "render", "segment", "stack_meshes", "template_bank",
+    "SensorModel", "Sonar", "SonarFrame", "SonarjaxError", "Standing", "TemplateBank", "Track", "TrackConfig",
+    "Tracker", "Turning", "Window", "WindowSize", "YawEstimate", "calibrate", "load_segmenter", "match_bank",
+    "match_positions", "objects", "observe", "plan_refinement", "plan_window", "recognize", "refine_pose",
+    "refine_yaw", "render", "segment", "stack_meshes", "template_bank", "track",
 ]  # fmt: skip

@@ -20,10 +20,9 @@ from typing import Any, NoReturn
 
 from sonarjax.io import FAN_OPTIONS, complain, say, silence_stdout
 from sonarjax.segment import DEFAULT_SEGMENTER, SEGMENTERS
+from sonarjax.track.lines import SCHEMA, record_of
 
 MAX_SUB_BEAMS = 64
-SCHEMA = 2
-"""Of a line of results: 2 has `converged`, `target`, `runner_up` and `margin`."""
 
 Lazy = Any  # a type of a module that is imported inside the function: the docstring names it
 
@@ -130,6 +129,13 @@ def _add_recognize(commands: Any) -> None:
     command.add_argument(
         "--threshold", metavar="T", type=_correlation, help="score from which on it is the target (default: shipped)"
     )
+    command.add_argument(
+        "--track", action="store_true", help="the frames are one sequence: yaw and place are what all so far say"
+    )
+    command.add_argument(
+        "--motion", choices=("turning", "standing"), default="turning",
+        help="with --track, how the target may move from frame to frame (default: %(default)s)",
+    )  # fmt: skip
     _add_unit(command)
 
 
@@ -275,6 +281,7 @@ def _recognize(args: argparse.Namespace) -> int:
     from sonarjax.scene import Mesh
     from sonarjax.segment import check_segmenter
     from sonarjax.sonar import Sonar
+    from sonarjax.track import Standing, Tracker, Turning
 
     check_segmenter(args.segmenter)
     sonar, mesh = Sonar.from_toml(args.sonar), Mesh.load(args.target, args.unit_m)
@@ -284,6 +291,8 @@ def _recognize(args: argparse.Namespace) -> int:
         recognizer = Recognizer(mesh, sonar, segmenter=args.segmenter, refine=refine, engine=CpuEngine())
     except SonarjaxError as error:
         raise SonarjaxError(naming(args.sonar, error)) from error
+    motion = Turning() if args.motion == "turning" else Standing()
+    tracker = Tracker(recognizer, motion, threshold=args.threshold) if args.track else None
     code = 0
     with JsonLines(args.out) as lines:
         for name, frame in _each_frame(args.frames):
@@ -291,11 +300,17 @@ def _recognize(args: argparse.Namespace) -> int:
                 if isinstance(frame, Exception):
                     raise frame
                 started = time.perf_counter()
-                found = recognizer(frame.image, frame.mask, threshold=args.threshold)
-                record = record_of(found, frame.source, time.perf_counter() - started)
+                if tracker is None:
+                    found, tracked = recognizer(frame.image, frame.mask, threshold=args.threshold), None
+                else:
+                    found = tracker.recognize(frame.image, frame.mask)
+                    tracked = tracker.take(found)
+                record = record_of(found, frame.source, time.perf_counter() - started, tracked)
             except BrokenPipeError:
                 raise
             except Exception as error:  # whatever one frame does to us, the others are still to be recognized
+                if tracker is not None:
+                    tracker.take(None)
                 record = {"frame": name, "error": naming(name, error), "schema": SCHEMA}
                 complain(record["error"])
                 code = 1
@@ -332,40 +347,6 @@ def _calibrate(args: argparse.Namespace) -> int:
         save_figure(plot_calibration(*compare_templates(found, images, mesh, sonar), sonar), args.png)
     say(describe_calibration(found, sonar, [frame.source for frame in frames]))
     return 0
-
-
-def record_of(result: Lazy, frame: str, seconds: float) -> dict[str, Any]:
-    """One line of the results file of a Recognition: angles in degrees in [0, 360), lengths in metres."""
-
-    def degrees(angle: float | None) -> float | None:
-        return None if angle is None else math.degrees(angle)
-
-    hypotheses = [
-        {"yaw_deg": degrees(h.yaw), "score": h.score, "yaw_std_deg": degrees(h.yaw_std), "converged": h.converged}
-        for h in result.hypotheses
-    ]
-    return {
-        "frame": frame,
-        "identified": result.identified,
-        "target": result.target,
-        "score": result.score,
-        "score_bank": result.score_bank,
-        "score_refined": result.score_refined,
-        "threshold": result.threshold,
-        "runner_up": result.runner_up,
-        "margin": result.margin,
-        "yaw_bin_deg": degrees(result.yaw_bin),
-        "yaw_deg": degrees(result.yaw),
-        "yaw_std_deg": degrees(result.yaw_std),
-        "converged": result.converged,
-        "x_m": result.x,
-        "y_m": result.y,
-        "scores_by_yaw": [float(score) for score in result.scores_by_yaw],
-        "hypotheses": hypotheses,
-        "segmenter": result.segmenter,
-        "seconds": seconds,
-        "schema": SCHEMA,
-    }
 
 
 def _train(args: argparse.Namespace) -> int:

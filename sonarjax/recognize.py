@@ -58,6 +58,10 @@ class Hypothesis:
     None without refinement."""
     converged: bool = True
     """False where refinement did not settle inside its bounds; the yaw is then the better of bin and refined one."""
+    x: float | None = None
+    """Forward position [m] of the target at this yaw; None where it is that of the `Recognition`."""
+    y: float | None = None
+    """Position to port [m], likewise."""
 
 
 @dataclass(frozen=True)
@@ -139,13 +143,20 @@ class Recognizer:
         self.segmenter = segmenter if isinstance(segmenter, Segmenter) else load_segmenter(segmenter)
 
     def __call__(
-        self, image: Any, mask: Any = None, *, semantic: Any = None, threshold: float | None = None
+        self,
+        image: Any,
+        mask: Any = None,
+        *,
+        semantic: Any = None,
+        threshold: float | None = None,
+        starts: Sequence[Pose] = (),
     ) -> Recognition:
         """Which target is in `image` (range, beam), and its yaw [rad]: segment, match (eq. 4–5), refine.
 
         `mask` (range, beam) is true where a pixel was measured. `threshold` replaces the segmenter's own, which comes
         from validation frames. A map of your own, `semantic` (range, beam) with shadow 0, background 0.5 and highlight
-        1, takes the place of the segmenter's; it needs a `threshold`.
+        1, takes the place of the segmenter's; it needs a `threshold`. From `starts`, single poses [m, rad] at which the
+        best target is expected, hypotheses are refined beside those that matching finds.
         Raises SonarjaxError for a shape that does not fit the sonar, values that are not finite, or where a threshold
         is needed.
         """
@@ -158,7 +169,7 @@ class Recognizer:
         found.sort(key=lambda candidate: -candidate.score)
         best = found[0]
         in_frame = self._in_frame(best, image, mask) if given is None else None
-        hypotheses, x, y, evidence = self._hypotheses(best, in_frame, image, seen, mask)
+        hypotheses, x, y, evidence = self._hypotheses(best, in_frame, image, seen, mask, starts)
         rule = self.segmenter.rule if given is None else None
         score = best.score if rule is None or evidence is None else rule.probability(evidence)
         return Recognition(
@@ -221,14 +232,24 @@ class Recognizer:
         return locate(best.search, image, mask)
 
     def _hypotheses(
-        self, best: Candidate, in_frame: Candidate | None, image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None
+        self,
+        best: Candidate,
+        in_frame: Candidate | None,
+        image: np.ndarray,
+        seen: np.ndarray,
+        mask: np.ndarray | None,
+        expected: Sequence[Pose],
     ) -> tuple[tuple[Hypothesis, ...], float, float, dict[str, float] | None]:
         """Possible yaws, best first, the place (x, y) [m] of the best (a bin or refined), and what speaks for it."""
         if self.refine is None:
             bins = peak_bins(best.match.scores, best.yaws, self.search.hypotheses)
-            plain = [Hypothesis(_wrap(best.yaws[k]), float(best.match.scores[k]), None) for k in bins]
+            scores = best.match.scores
+            plain = [Hypothesis(_wrap(best.yaws[k]), float(scores[k]), None, x=best.x, y=best.y) for k in bins]
             return _distinct(plain), best.x, best.y, None
         starts = make_starts(best, in_frame, seen, image, self.search.hypotheses)
+        matched = len(starts)
+        for pose in expected:
+            starts.append(Start(best._replace(x=float(pose.x), y=float(pose.y)), starts[0].bin, seen, pose))
 
         def refined(start: Start) -> tuple[YawEstimate, Pose, Evidence]:
             assert self.refine is not None
@@ -236,6 +257,8 @@ class Recognizer:
 
         # Each on its own: one that settles early waits for no other.
         parts = self.engine.map(refined, starts)
+        # Where refinement does not settle, an expected pose is what was expected and not what the frame shows.
+        parts = [part for k, part in enumerate(parts) if k < matched or bool(is_kept(part[0]))]
         estimate, pose, gathered = jax.tree.map(lambda *values: np.stack([np.asarray(v) for v in values]), *parts)
         curves = curve_evidence(best, in_frame)
         hypotheses = _refined(estimate, pose, ERROR_BAR.std(estimate.yaw_std, gathered.left_over, curves["frame_rise"]))
@@ -302,8 +325,9 @@ def _widened(config: RefineConfig, yaw_bins: int) -> RefineConfig:
 def _refined(estimate: YawEstimate, pose: Pose, stds: np.ndarray) -> list[Hypothesis]:
     """A hypothesis for each of the `pose`s that were kept, with its error bar and the score that belongs to it."""
     scores = np.where(is_kept(estimate), np.asarray(estimate.score), np.asarray(estimate.start_score))
-    rows = zip(np.asarray(pose.yaw), scores, stds, np.asarray(estimate.converged), strict=True)
-    return [Hypothesis(_wrap(yaw), float(score), float(std), bool(ok)) for yaw, score, std, ok in rows]
+    columns = pose.yaw, scores, stds, estimate.converged, pose.x, pose.y
+    rows = zip(*(np.asarray(column).tolist() for column in columns), strict=True)
+    return [Hypothesis(_wrap(yaw), score, std, settled, x, y) for yaw, score, std, settled, x, y in rows]
 
 
 def _distinct(hypotheses: list[Hypothesis]) -> tuple[Hypothesis, ...]:

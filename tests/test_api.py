@@ -29,9 +29,12 @@ SIGNATURES: dict[str, tuple[list[str], set[str]]] = {
     ),
     "refine_yaw": (["image", "mesh", "sonar", "start"], {"mask", "config", "window", "engine"}),
     "Recognizer": (["targets", "sonar"], {"segmenter", "search", "refine", "engine"}),
-    "Recognizer.__call__": (["self", "image", "mask"], {"semantic", "threshold"}),
+    "Recognizer.__call__": (["self", "image", "mask"], {"semantic", "threshold", "starts"}),
     "recognize": (["image", "mesh", "sonar"], {"segmenter", "semantic", "search", "refine", "threshold", "mask"}),
     "load_segmenter": (["name"], set()),
+    "track": (["frames", "recognizer", "motion"], {"sonar_poses", "masks", "times", "smooth", "config", "expect"}),
+    "Tracker": (["recognizer", "motion"], {"config", "threshold", "expect"}),
+    "Tracker.__call__": (["self", "image", "mask"], {"sonar_pose", "elapsed"}),
 }
 FIELDS = {
     "Pose": ["x", "y", "yaw", "z", "roll", "pitch"],
@@ -63,6 +66,9 @@ FIELDS = {
     ],
     "Segmenter": ["name", "threshold", "tile", "weights"],
     "RenderQuality": ["sub_beams", "elevations"],
+    "Standing": ["yaw_drift", "place_drift"],
+    "Track": ["yaw", "yaw_std", "x", "y", "rate", "probability", "frames", "beliefs", "smoothed"],
+    "Turning": ["rate_std", "rate_drift", "yaw_drift", "place_drift"],
     "WindowSize": ["shape", "object_columns"],
 }
 
@@ -95,7 +101,11 @@ def test_contract_names_are_public() -> None:
     assert [name for name in sj.__all__ if not hasattr(sj, name)] == []
 
 
-@pytest.mark.parametrize("name", ["LeanSearchConfig", "RenderQuality", "RefineConfig", "SearchConfig", "WindowSize"])
+@pytest.mark.parametrize(
+    "name",
+    ["LeanSearchConfig", "RenderQuality", "RefineConfig", "SearchConfig", "Standing", "TrackConfig", "Turning",
+     "WindowSize"],
+)  # fmt: skip
 def test_configs_are_frozen_and_hashable(name: str) -> None:
     config = find(name)((8, 8)) if name == "WindowSize" else find(name)()
     assert hash(config) == hash(dataclasses.replace(config))

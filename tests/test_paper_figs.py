@@ -187,6 +187,14 @@ def make_poses(runs: Path, rng: np.random.Generator) -> None:
     finish(runs, "lean_pose", {"rows": rows, "per_frame": found})
 
 
+def make_tracks(runs: Path, rng: np.random.Generator) -> None:
+    keys = ("rms", "bar", "median", "std", "within_1", "astray", "place")
+    views = [row(rng, *keys, name=name, count=n, cases=3) for name in ("one place", "around") for n in (1, 2, 4, 8, 16)]
+    real = [row(rng, "within", "median", "p90", "most", way="recognize", frames=5)]
+    report = {"rows": views, "floor_deg": 0.4, "symmetric": {}, "real": real, "update_ms": {"median": 1.0, "p95": 2.0}}
+    finish(runs, "track_views", report, real={name: rng.uniform(-90, 90, 5) for name in ("alone", "smoothed")})
+
+
 def make_thresholds(runs: Path, rng: np.random.Generator, preset: str = "full") -> None:
     rows = [row(rng, *fit_threshold.HEADS, segmenter="pix2pix", threshold=0.7654)]
     finish(runs, "fit_threshold", {"rows": rows}, preset=preset)
@@ -204,6 +212,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
         make_segmenters,
         make_turntable,
         make_poses,
+        make_tracks,
     ):
         make(folder, rng)
     return folder

@@ -147,6 +147,18 @@ def test_arguments_that_do_not_go_together_are_refused(wrong, said):
 
 
 @pytest.mark.slow
+def test_a_belief_goes_through_a_broken_file(arguments, tmp_path):
+    settings = Settings(**arguments, track=True, track_on="belief")
+    (row,) = recognize_stream.run(settings, Job(tmp_path / "run", 0))["rows"]
+    assert (row["way"], row["frames"], row["unreadable"]) == ("track belief", 3, 1)
+    good = [r for r in records(tmp_path / "run" / "track_belief.jsonl") if "error" not in r]
+    assert [r["tracked"] for r in good] == [False, True, True]
+    yaws = np.array([r["yaw_deg"] for r in good])
+    # The file that is broken stood between the first two.
+    assert np.abs(yaws - YAWS_DEG).max() < 3
+
+
+@pytest.mark.slow
 def test_a_tracker_that_lost_its_object_recognizes_anew(sonar, frames):
     finder = stream.Finder(sj.objects.target(), sonar, "none", "track frame")
     assert finder(Frame(frames[0], None, "a", "a"))[1] is False

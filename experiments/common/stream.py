@@ -9,6 +9,7 @@ import re
 import time
 from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -28,8 +29,9 @@ from sonarjax.recognize import Hypothesis, Recognition, refine_on_frame
 from sonarjax.refine import MAP_REFINEMENT
 from sonarjax.sensor import SensorModel
 
-WAYS = ("recognize", "track map", "track frame")
-"""How a stream is gone through: each frame anew, or refined from the last pose on the map or on the frame itself."""
+WAYS = ("recognize", "track map", "track frame", "track belief")
+"""How a stream is gone through: each frame anew; refined from the last pose on the map or on the frame itself; or each
+frame anew as part of a belief (`sj.Tracker`)."""
 POLL_S = 0.5
 Named = tuple[str, Frame | SonarjaxError]
 """What a frame is called, and the frame, or the error that says why it cannot be read."""
@@ -110,6 +112,7 @@ class Finder:
         self.mesh, self.sonar, self.way, self.threshold = mesh, sonar, way, threshold
         self.recognizer = sj.Recognizer(mesh, sonar, segmenter=loaded(segmenter), engine=engine())
         self.tracked_on = loaded("none") if way == WAYS[2] else self.recognizer.segmenter
+        self.belief = sj.Tracker(self.recognizer, sj.Turning(), threshold=threshold)
         self.last: sj.Pose | None = None
         self.inflation = 1.0  # of error bars, by the last recognition
 
@@ -118,6 +121,8 @@ class Finder:
 
         Raises SonarjaxError when it does not fit the sonar; what was tracked is kept.
         """
+        if self.way == WAYS[3]:
+            return self._believed(frame)
         tracked = None if self.last is None or self.way == WAYS[0] else self._tracked(frame, self.last)
         found = tracked
         if found is None:
@@ -125,6 +130,22 @@ class Finder:
             self.inflation = _inflation(found)
         self.last = sj.Pose(found.x, found.y, found.yaw) if found.identified else None
         return found, tracked is not None
+
+    def _believed(self, frame: Frame) -> tuple[Recognition, bool]:
+        """What a frame shows, with the belief's pose and hypotheses in place of the frame's own."""
+        try:
+            found = self.belief.recognize(frame.image, frame.mask)
+        except SonarjaxError:
+            self.belief.take(None)
+            raise
+        after = self.belief.take(found)
+        if not after.modes:
+            return found, False
+        own = tuple(Hypothesis(m.yaw, m.probability, m.yaw_std, True, m.x, m.y) for m in after.modes)
+        best, followed = after.best, self.last is not None
+        self.last = sj.Pose(best.x, best.y, best.yaw)
+        pose = {"yaw": best.yaw, "yaw_std": best.yaw_std, "x": best.x, "y": best.y}
+        return replace(found, **pose, hypotheses=own), followed
 
     def _tracked(self, frame: Frame, last: sj.Pose) -> Recognition | None:
         """The pose refined from the last one; None when its template correlates less than the threshold."""

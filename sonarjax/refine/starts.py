@@ -72,6 +72,13 @@ class Start(NamedTuple):
     """The yaw bin."""
     picture: np.ndarray
     """The map or the frame (range, beam) that it was matched in."""
+    pose: Pose | None = None
+    """Where it starts, if not at the bin."""
+
+    @property
+    def begin(self) -> Pose:
+        """The pose [m, rad] to start from."""
+        return self.candidate.between_bins(self.bin) if self.pose is None else self.pose
 
 
 def locate(search: TargetSearch, picture: np.ndarray, mask: np.ndarray | None) -> Candidate:
@@ -101,7 +108,7 @@ def refine_start(
 
     With the pose that is kept, and what speaks for it. `window` is large enough for the start.
     """
-    search, found = start.candidate.search, start.candidate.between_bins(start.bin)
+    search, found = start.candidate.search, start.begin
     how: dict[str, Any] = {"mask": mask, "window": window, "engine": engine}
     first = kept_pose(refine_yaw(start.picture, search.mesh, search.sonar, found, config=config, **how), found)
     estimate, drawn = refine_and_draw(image, search.mesh, search.sonar, first, config=on_frame(config), **how)

@@ -11,6 +11,7 @@ import pytest
 
 from sonarjax.cli import main
 from sonarjax.io import SonarjaxError
+from sonarjax.match import SearchConfig
 from sonarjax.recognize import Hypothesis, Recognition
 
 SONAR = """
@@ -66,25 +67,27 @@ def stand_in(monkeypatch) -> SimpleNamespace:
     """Stand-ins for the slow modules behind `segment` and `recognize`: they note calls.
 
     `interrupt` stops at the call of that number, `failures` (number of a call -> exception) fails in it.
+    `yaw_std` [rad] is what is found.
     """
-    state = SimpleNamespace(calls=[], interrupt=None, failures={})
+    state = SimpleNamespace(calls=[], interrupt=None, failures={}, yaw_std=float("nan"))
 
     def note(call):
         state.calls.append(call)
         if len(state.calls) in state.failures:
             raise state.failures[len(state.calls)]
 
-    class Recognizer:
+    class Recognizer(sys.modules["sonarjax.recognize"].Recognizer):  # trackers take no other
         def __init__(self, mesh, sonar, *, segmenter, refine, engine):
+            self.targets, self.search, self.refine = {"target": mesh}, SearchConfig(), None
             self.sonar, self.options = sonar, {"segmenter": segmenter, "refine": refine is not None}
 
-        def __call__(self, image, mask=None, *, semantic=None, threshold=None):
+        def __call__(self, image, mask=None, *, semantic=None, threshold=None, starts=()):
             note(self.options | {"mask": mask, "threshold": threshold})
             if len(state.calls) == state.interrupt:
                 raise KeyboardInterrupt
             if image.shape != self.sonar.shape:
                 raise SonarjaxError(f"image: expected the sonar's shape {self.sonar.shape}, got {image.shape}")
-            return found(float(image.mean()))
+            return found(float(image.mean()), state.yaw_std)
 
     class Network:
         def labels(self, image, mask=None, engine=None):
@@ -97,12 +100,12 @@ def stand_in(monkeypatch) -> SimpleNamespace:
     return state
 
 
-def found(score: float) -> Recognition:
-    """A result of that score whose error bar is not a number."""
-    hypothesis = Hypothesis(0.5, score, float("nan"))
+def found(score: float, yaw_std: float) -> Recognition:
+    """A result of that score; by default its error bar is not a number."""
+    hypothesis = Hypothesis(0.5, score, yaw_std)
     return Recognition(
         identified=True, target="target", score=score, score_bank=score, score_refined=score, threshold=0.0,
-        runner_up=None, margin=None, yaw_bin=0.5, yaw=0.5, yaw_std=float("nan"), x=2.2, y=0.0, converged=True,
+        runner_up=None, margin=None, yaw_bin=0.5, yaw=0.5, yaw_std=yaw_std, x=2.2, y=0.0, converged=True,
         scores_by_yaw=np.array([score]), hypotheses=(hypothesis,), segmenter="pix2pix", semantic=np.zeros(SHAPE),
     )  # fmt: skip
 

@@ -288,3 +288,18 @@ def test_the_bar_shows_only_on_a_terminal(recognize, stand_in, place, tmp_path, 
     assert (code, len(records)) == (1, 2)
     assert "2/2" in err
     assert "sonarjax: error: " in err
+
+
+def test_frames_of_a_sequence_are_one_belief(recognize, stand_in, place, tmp_path):
+    """A frame that cannot be read keeps its own line of an error, and the sequence goes on."""
+    out, stand_in.yaw_std = tmp_path / "r.jsonl", 0.02
+    frames = [place / "a.npz", tmp_path / "absent.npz", place / "b.npy"]
+    code, _, (first, absent, last) = recognize(frames, out, "--track", "--motion", "standing", "--no-refine")
+    assert code == 1
+    assert set(absent) == {"frame", "error", "schema"}
+    assert [record["frame"] for record in (first, absent, last)] == [str(frame) for frame in frames]
+    assert 0 < last["yaw_std_deg"] < first["yaw_std_deg"]
+    assert last["yaw_deg"] == pytest.approx(last["frame_yaw_deg"], abs=0.01)  # the stand-in always finds the same
+    assert last["x_m"] == pytest.approx(2.2, abs=1e-3)
+    assert first["hypotheses"][0]["score"] == pytest.approx(first["probability"])
+    assert last["rate_deg"] == 0.0

@@ -1,0 +1,266 @@
+"""The belief over an object's pose and rate: a mixture of Gaussians with circular yaw, and its step by a frame.
+
+Each Gaussian follows one way to explain the frames: which hypothesis of each was right, or none (Reid, An Algorithm for
+Tracking Multiple Targets, IEEE Trans. Automatic Control 24, 1979); within it this is a Kalman filter. Beside yaw, x, y
+and rate, its state holds the errors that all frames of one view share, so that a hundred frames alike do not pretend to
+a hundredth of the variance (Schmidt, Application of State-Space Methods to Navigation Problems, 1966, has biases as
+states). All is pure, and works under `jax.jit`, `jax.vmap` and `jax.lax.scan`.
+"""
+
+from __future__ import annotations
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from sonarjax.records import record
+from sonarjax.track.motion import Motion, TrackConfig, Turning
+from sonarjax.track.reduce import Mixture, reduced, wrapped
+
+STATES = 7
+"""Numbers of a Gaussian: yaw [rad], x, y [m], rate [rad/frame], then the shared errors of yaw [rad], x and y [m]."""
+YAW, X, Y, RATE = range(4)
+SHARED = slice(4, 7)
+
+
+@record
+class Belief:
+    """What is known after a frame, in the common frame; the first component stands for 'anywhere', without Gaussian."""
+
+    log_weight: Float[Array, "*batch component"]
+    """Logarithm of each component's probability; -inf where there is none."""
+    mean: Float[Array, "*batch component 7"]
+    """Means: yaw [rad], x, y [m], rate [rad/frame], and the errors of yaw, x, y that all frames of a view share."""
+    covariance: Float[Array, "*batch component 7 7"]
+    """Covariances of these."""
+    parent: Int[Array, "*batch component"]
+    """Which component of the belief before it each one continues."""
+    gain: Float[Array, "*batch component"]
+    """Log-likelihood that this frame added to each component, but for a constant of the frame."""
+    sonar: Float[Array, "*batch 3"]
+    """Where the sonar was: x, y [m] and yaw [rad]."""
+    elapsed: Float[Array, "*batch"]
+    """Time since the frame before [frames]."""
+    fading: Float[Array, "*batch"]
+    """What this frame left of the log-weights before it [1]: all, if it said nothing."""
+
+
+@record
+class Reading:
+    """What a recognizer made of one frame, in the sonar's frame; hypotheses beyond their number have weight -inf."""
+
+    log_weight: Float[Array, "*batch hypothesis"]
+    """Logarithm of the probability that this is the right hypothesis."""
+    log_miss: Float[Array, "*batch"]
+    """Logarithm of the probability that none is."""
+    pose: Float[Array, "*batch hypothesis 3"]
+    """Yaw [rad], x and y [m]."""
+    std: Float[Array, "*batch hypothesis 3"]
+    """Standard deviations of the errors that differ from frame to frame, in the same units."""
+    sonar: Float[Array, "*batch 3"]
+    """Where the sonar is in the common frame: x, y [m] and yaw [rad]."""
+    elapsed: Float[Array, "*batch"]
+    """Time since the frame before [frames]."""
+
+
+@record
+class Numbers:
+    """Motion and config as numbers that are traced: all motions share compiled code."""
+
+    rate_std: Float[Array, "*batch"]
+    """As in `Turning` [rad/frame]; 0 of what stands."""
+    rate_drift: Float[Array, "*batch"]
+    """As in `Turning` [rad/frame]."""
+    yaw_drift: Float[Array, "*batch"]
+    """As in both motions [rad]."""
+    place_drift: Float[Array, "*batch"]
+    """As in both motions [m]."""
+    floor: Float[Array, "*batch"]
+    """As in `TrackConfig` [rad]."""
+    place_floor: Float[Array, "*batch"]
+    """As in `TrackConfig` [m]."""
+    aspect: Float[Array, "*batch"]
+    """As in `TrackConfig` [rad]."""
+    fading: Float[Array, "*batch"]
+    """What is left of a log-weight after a frame [1]."""
+    merge: Float[Array, "*batch"]
+    """As in `TrackConfig` [1]."""
+    alias: Float[Array, "*batch"]
+    """As in `TrackConfig` [1]."""
+    log_volume: Float[Array, "*batch"]
+    """Logarithm of 2π times the floor over which wrong hypotheses lie [rad m²]."""
+
+
+def numbers_of(motion: Motion, config: TrackConfig) -> Numbers:
+    """The numbers of a motion and a config; evidence fades by exp(-1 / memory) a frame."""
+    rates = (motion.rate_std, motion.rate_drift) if isinstance(motion, Turning) else (0.0, 0.0)
+    values = (
+        *rates, motion.yaw_drift, motion.place_drift, config.floor, config.place_floor, config.aspect,
+        math.exp(-1 / config.memory), config.merge, config.alias, math.log(2 * math.pi * config.area),
+    )  # fmt: skip
+    return Numbers(*(jnp.float32(v) for v in values))
+
+
+def nothing_known(config: TrackConfig) -> Belief:
+    """The belief before the first frame: anywhere."""
+    count = config.components
+    weight = np.full(count, -np.inf, np.float32)
+    weight[0] = 0.0
+    covariance = np.broadcast_to(np.eye(STATES, dtype=np.float32), (count, STATES, STATES))
+    return Belief(
+        log_weight=jnp.asarray(weight),
+        mean=jnp.zeros((count, STATES)),
+        covariance=jnp.asarray(covariance),
+        parent=jnp.zeros(count, jnp.int32),
+        gain=jnp.zeros(count),
+        sonar=jnp.zeros(3),
+        elapsed=jnp.zeros(()),
+        fading=jnp.ones(()),
+    )
+
+
+def step(belief: Belief, reading: Reading, numbers: Numbers) -> Belief:
+    """The belief after one more frame: predicted by `elapsed` to where the sonar is now, then updated.
+
+    A component's yaw stays in [0, 2π). A `reading` whose hypotheses all have weight -inf only predicts.
+    """
+    mean, covariance, _, _ = predicted(belief, reading.sonar, reading.elapsed, numbers)
+    fading = jnp.where(jnp.isfinite(reading.log_weight).any(), numbers.fading, 1.0)
+    before = fading * belief.log_weight
+    before = before - jax.scipy.special.logsumexp(before)
+    many, count = len(before), reading.log_weight.shape[0]
+    fits = jax.vmap(lambda m, p: jax.vmap(lambda h, s: _kalman(m, p, h, s, reading.sonar))(reading.pose, reading.std))
+    likelihood, new_mean, new_covariance = fits(mean, covariance)
+    # Wrong hypotheses lie anywhere: all likelihoods are relative to their density, 1 / (2π area).
+    real = slice(1, None)  # without 'anywhere'
+    density = likelihood + numbers.log_volume
+    hit = before[:, None] + reading.log_weight + density
+    missed = before + reading.log_miss + _alike(density[real], before[real], reading, numbers)
+    born = before[0] + reading.log_weight
+    start_mean, start_covariance = jax.vmap(lambda h, s: _first(h, s, reading.sonar, numbers))(
+        reading.pose, reading.std
+    )
+    numbers_of_parents = jnp.arange(many)
+    parts = [
+        Mixture(
+            hit[real].reshape(-1),
+            new_mean[real].reshape(-1, STATES),
+            new_covariance[real].reshape(-1, STATES, STATES),
+            jnp.repeat(numbers_of_parents[real], count),
+        ),
+        Mixture(missed[real], mean[real], covariance[real], numbers_of_parents[real]),
+        Mixture(born, start_mean, start_covariance, jnp.zeros(count, numbers_of_parents.dtype)),
+    ]
+    candidates = jax.tree.map(lambda *v: jnp.concatenate(v), *parts)
+    kept = reduced(candidates, many - 1, numbers.merge)
+    anywhere = Mixture(missed[:1], belief.mean[:1], belief.covariance[:1], numbers_of_parents[:1])
+    whole = jax.tree.map(lambda *v: jnp.concatenate(v), anywhere, kept)
+    gain = whole.log_weight - before[whole.parent]
+    return Belief(
+        log_weight=whole.log_weight - jax.scipy.special.logsumexp(whole.log_weight),
+        mean=whole.mean.at[:, YAW].set(whole.mean[:, YAW] % (2 * jnp.pi)),
+        covariance=whole.covariance,
+        parent=whole.parent.astype(jnp.int32),
+        gain=jnp.where(jnp.isfinite(gain), gain, -jnp.inf),
+        sonar=reading.sonar,
+        elapsed=reading.elapsed,
+        fading=fading,
+    )
+
+
+def _alike(density: Array, log_weight: Array, reading: Reading, numbers: Numbers) -> Array:
+    """Log of how likely a frame's hypotheses are when none is right, relative to their lying anywhere.
+
+    A share of wrong ones lies where a wrong one did before: at the other yaws at which an object looks much the same.
+    Were all thought to lie anywhere, two of them in a row would outweigh any belief.
+    """
+    known = jnp.where(jnp.isfinite(log_weight)[:, None], density, -jnp.inf)
+    nearest = known.max(axis=0) + reading.log_weight
+    total = jax.scipy.special.logsumexp(reading.log_weight)
+    some = jnp.isfinite(total)
+    again = jnp.where(some, jax.scipy.special.logsumexp(nearest) - jnp.where(some, total, 0.0), 0.0)
+    return jnp.logaddexp(jnp.log1p(-numbers.alias), jnp.log(numbers.alias) + again)
+
+
+def predicted(
+    belief: Belief, sonar: Float[Array, "3"], elapsed: Float[Array, ""], numbers: Numbers
+) -> tuple[
+    Float[Array, "component 7"], Float[Array, "component 7 7"], Float[Array, "component 7 7"],
+    Float[Array, "component 7 7"],
+]:  # fmt: skip
+    """Means (component, 7) and covariances (component, 7, 7) at the next frame, transitions and process noises."""
+
+    def one(mean: Array, covariance: Array) -> tuple[Array, Array, Array, Array]:
+        old, new = (jnp.arctan2(mean[Y] - s[1], mean[X] - s[0]) for s in (belief.sonar, sonar))
+        changed = mean[RATE] * elapsed - wrapped(new - old)
+        # An unknown rate changes the aspect too.
+        aspect = jnp.sqrt(changed**2 + covariance[RATE, RATE] * elapsed**2)
+        alike = jnp.exp(-aspect / numbers.aspect)
+        transition = jnp.eye(STATES).at[YAW, RATE].set(elapsed).at[4, 4].set(alike)
+        drifts = numbers.yaw_drift, numbers.place_drift, numbers.place_drift, numbers.rate_drift
+        anew = (1 - alike**2) * numbers.floor**2
+        noise = jnp.diag(jnp.stack([*(v**2 * elapsed for v in drifts), anew, 0.0 * anew, 0.0 * anew]))
+        return transition @ mean, transition @ covariance @ transition.T + noise, transition, noise
+
+    return jax.vmap(one)(belief.mean, belief.covariance)
+
+
+def _observation(sonar: Float[Array, "3"]) -> Float[Array, "3 7"]:
+    """What a hypothesis (yaw, x, y), turned to the common frame, shows of a state: pose and shared errors."""
+    turn = jnp.eye(3).at[1:, 1:].set(_rotation(sonar[2]))
+    return jnp.zeros((3, STATES)).at[:, :3].set(jnp.eye(3)).at[:, SHARED].set(turn)
+
+
+def _rotation(angle: Array) -> Float[Array, "2 2"]:
+    c, s = jnp.cos(angle), jnp.sin(angle)
+    return jnp.stack([jnp.stack([c, -s]), jnp.stack([s, c])])
+
+
+def to_common(pose: Float[Array, "3"], sonar: Float[Array, "3"]) -> Float[Array, "3"]:
+    """A pose (yaw [rad], x, y [m]) of the sonar's frame in the common frame, where the sonar is at (x, y, yaw)."""
+    place = sonar[:2] + _rotation(sonar[2]) @ pose[1:]
+    return jnp.concatenate([(pose[:1] + sonar[2]), place])
+
+
+def _kalman(mean: Array, covariance: Array, pose: Array, std: Array, sonar: Array) -> tuple[Array, Array, Array]:
+    """Log-likelihood of a hypothesis, and mean and covariance with it."""
+    seen = _observation(sonar)
+    gap = to_common(pose, sonar) - seen @ mean
+    gap = gap.at[YAW].set(wrapped(gap[YAW]))
+    noise = jnp.diag(std**2)  # of x and y alike: turning it changes nothing
+    spread = seen @ covariance @ seen.T + noise
+    gain = jnp.linalg.solve(spread, seen @ covariance).T
+    rest = jnp.eye(STATES) - gain @ seen
+    new = rest @ covariance @ rest.T + gain @ noise @ gain.T  # Joseph's form stays positive in float32
+    fit = gap @ jnp.linalg.solve(spread, gap)
+    likelihood = -0.5 * (fit + jnp.linalg.slogdet(2 * jnp.pi * spread)[1])
+    return likelihood, mean + gain @ gap, (new + new.T) / 2
+
+
+def _first(pose: Array, std: Array, sonar: Array, numbers: Numbers) -> tuple[Array, Array]:
+    """Mean and covariance of an object of which nothing was known, given the right hypothesis."""
+    shared = jnp.stack([numbers.floor, numbers.place_floor, numbers.place_floor]) ** 2
+    turn = _observation(sonar)[:, SHARED]
+    across = -turn * shared
+    rate = jnp.zeros((STATES, STATES)).at[RATE, RATE].set(numbers.rate_std**2)
+    whole = rate.at[:3, :3].set(jnp.diag(std**2 + shared)).at[:3, SHARED].set(across)
+    whole = whole.at[SHARED, :3].set(across.T).at[SHARED, SHARED].set(jnp.diag(shared))
+    return jnp.zeros(STATES).at[:3].set(to_common(pose, sonar)), whole
+
+
+@jax.jit
+def run_filter(belief: Belief, readings: Reading, numbers: Numbers) -> Belief:
+    """The beliefs (frame, component) after each of the `readings` (frame, hypothesis), one step each."""
+
+    def one(before: Belief, reading: Reading) -> tuple[Belief, Belief]:
+        after = step(before, reading, numbers)
+        return after, after
+
+    return jax.lax.scan(one, belief, readings)[1]
+
+
+next_belief = jax.jit(step)
+"""`step`, compiled."""

@@ -1,0 +1,74 @@
+"""What was found in a frame as one JSON object, for the command line and for streams."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from sonarjax.recognize import Recognition
+from sonarjax.track.sequence import Tracked
+
+SCHEMA = 2
+"""Of a line of results: 2 has `converged`, `target`, `runner_up` and `margin`."""
+
+
+def record_of(result: Recognition, frame: str, seconds: float, tracked: Tracked | None = None) -> dict[str, Any]:
+    """One line of the results file of a Recognition: angles in degrees in [0, 360), lengths in metres.
+
+    `seconds` [s] is what it took. With `tracked`, yaw, its standard deviation, x, y and hypotheses are the belief's,
+    and the frame's own yaw stands beside them.
+    """
+
+    def degrees(angle: float | None) -> float | None:
+        return None if angle is None else math.degrees(angle)
+
+    hypotheses = [
+        {"yaw_deg": degrees(h.yaw), "score": h.score, "yaw_std_deg": degrees(h.yaw_std), "converged": h.converged}
+        for h in result.hypotheses
+    ]
+    record: dict[str, Any] = {
+        "frame": frame,
+        "identified": result.identified,
+        "target": result.target,
+        "score": result.score,
+        "score_bank": result.score_bank,
+        "score_refined": result.score_refined,
+        "threshold": result.threshold,
+        "runner_up": result.runner_up,
+        "margin": result.margin,
+        "yaw_bin_deg": degrees(result.yaw_bin),
+        "yaw_deg": degrees(result.yaw),
+        "yaw_std_deg": degrees(result.yaw_std),
+        "converged": result.converged,
+        "x_m": result.x,
+        "y_m": result.y,
+        "scores_by_yaw": [float(score) for score in result.scores_by_yaw],
+        "hypotheses": hypotheses,
+        "segmenter": result.segmenter,
+        "seconds": seconds,
+        "schema": SCHEMA,
+    }
+    return record if tracked is None else record | _believed(tracked, record["yaw_deg"])
+
+
+def _believed(tracked: Tracked, frame_yaw_deg: float | None) -> dict[str, Any]:
+    """What a line says of a belief, in place of what the frame alone says: each mode's score is its probability."""
+    best, modes = tracked.best, tracked.modes
+    return {
+        "yaw_deg": math.degrees(best.yaw),
+        "yaw_std_deg": math.degrees(best.yaw_std),
+        "x_m": best.x,
+        "y_m": best.y,
+        "hypotheses": [
+            {
+                "yaw_deg": math.degrees(mode.yaw),
+                "score": mode.probability,
+                "yaw_std_deg": math.degrees(mode.yaw_std),
+                "converged": True,
+            }
+            for mode in modes
+        ],
+        "probability": best.probability,
+        "rate_deg": math.degrees(best.rate),
+        "frame_yaw_deg": frame_yaw_deg,
+    }

@@ -1,0 +1,147 @@
+"""What a frame says: a recognizer's hypotheses as a `Reading`; and what a belief says: its modes, best first."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from sonarjax.recognize import SAME_YAW, Hypothesis, Recognition
+from sonarjax.track.belief import RATE, YAW, Belief, Reading
+from sonarjax.track.motion import TrackConfig
+
+UNRULED = {True: 0.9, False: 0.1}
+"""Probability of a frame that a plain threshold identified, and of one that it did not, where no rule gives any."""
+ROOT = math.sqrt(2.0)
+ONE_STD = math.erf(1 / ROOT)
+HALVINGS, TINY = 24, 1e-9
+LEAST_PROBABILITY = 1e-4
+"""Modes of a belief below it are not told."""
+
+
+@dataclass(frozen=True)
+class Mode:
+    """One possible pose of the object, in the common frame, and its error bars if it is the right one."""
+
+    yaw: float
+    """Yaw [rad], in [0, 2π)."""
+    x: float
+    """Position along the common frame's x [m]."""
+    y: float
+    """Position along its y [m]."""
+    rate: float
+    """By how much yaw grows [rad/frame]."""
+    covariance: np.ndarray
+    """Covariance (state, state) of yaw, x, y and rate."""
+    yaw_std: float
+    """Half of the interval around `yaw` that holds 68 % of this mode [rad]: a normal distribution's standard deviation.
+
+    Tails make the root of the covariance's entry larger."""
+    probability: float
+    """Probability of this one among all, and of being somewhere else [1]."""
+
+
+def reading_of(
+    found: Recognition | None, yaw_bins: int, config: TrackConfig, sonar: np.ndarray, elapsed: float
+) -> Reading:
+    """The hypotheses of a recognition, or of none; `sonar` (3,) is where it was: x, y [m], yaw [rad].
+
+    Each hypothesis stands for two errors: one as its error bar says, and one of the tails.
+    """
+    count = config.hypotheses
+    weight = np.full((2, count), -np.inf)
+    pose, std = np.zeros((2, count, 3)), np.ones((2, count, 3))
+    miss = 0.0
+    if found is not None:
+        right = probability(found) * (1 - config.misses)
+        miss = math.log1p(-right)
+        best = found.hypotheses[:count]
+        shares = _softmax(np.array([h.score for h in best]) / config.softness)
+        for k, one in enumerate(best):
+            pose[:, k] = one.yaw, *_place(one, found)
+            std[:, k] = _yaw_std(one, yaw_bins, config), config.place_std, config.place_std
+            if np.isfinite(std[0, k, 0]) and right > 0:
+                weight[:, k] = np.log(right * shares[k]) + np.log([1 - config.tail, config.tail])
+        std[1] *= config.tail_scale
+        if not np.isfinite(weight).any():
+            miss = 0.0
+    flat = pose.reshape(-1, 3), np.where(np.isfinite(std), std, 1.0).reshape(-1, 3)
+    values = (weight.reshape(-1), np.asarray(miss), *flat, np.asarray(sonar), np.asarray(elapsed))
+    return Reading(*(jnp.asarray(v, jnp.float32) for v in values))
+
+
+def probability(found: Recognition) -> float:
+    """That the target is shown in a frame [1]: the score where a rule made it, else by the threshold alone.
+
+    A threshold that is not one half says where the odds are even: whoever lowers it knows that the target is more often
+    there than in the rule's validation frames.
+    """
+    if found.score == found.score_bank:
+        return UNRULED[bool(found.identified)]
+    score, even = (min(max(value, 0.0), 1.0) for value in (found.score, found.threshold))
+    shown, absent = score * (1 - even), even * (1 - score)
+    return shown / (shown + absent) if shown + absent > 0 else float(found.identified)
+
+
+def _yaw_std(one: Hypothesis, yaw_bins: int, config: TrackConfig) -> float:
+    """Standard deviation [rad] of what differs from frame to frame."""
+    whole = 2 * math.pi / yaw_bins / math.sqrt(12) if one.yaw_std is None else one.yaw_std
+    return config.yaw_scale * whole
+
+
+def _place(one: Hypothesis, found: Recognition) -> tuple[float, float]:
+    return (found.x if one.x is None else one.x), (found.y if one.y is None else one.y)
+
+
+def _softmax(values: np.ndarray) -> np.ndarray:
+    parts = np.exp(values - values.max())
+    return parts / parts.sum()
+
+
+def modes_of(belief: Belief) -> tuple[Mode, ...]:
+    """What one belief (component) holds possible, the likeliest first: components of one yaw are told as one."""
+    log_weight = np.asarray(belief.log_weight, float)
+    weight = np.exp(log_weight[1:])
+    mean, covariance = (np.asarray(v, float)[1:] for v in (belief.mean, belief.covariance))
+    found: list[Mode] = []
+    while weight.max(initial=0.0) > 0:
+        best = int(weight.argmax())
+        apart = mean[:, : RATE + 1] - mean[best, : RATE + 1]
+        apart[:, YAW] = (apart[:, YAW] + math.pi) % (2 * math.pi) - math.pi
+        alike = np.abs(apart[:, YAW]) <= max(SAME_YAW, math.sqrt(max(covariance[best, YAW, YAW], 0.0)))
+        share = np.where(alike, weight, 0.0)
+        total = float(share.sum())
+        if found and total < LEAST_PROBABILITY:
+            break
+        share /= total
+        middle = share @ apart
+        around = apart - middle
+        own = np.einsum("k,kij->ij", share, covariance[:, : RATE + 1, : RATE + 1])
+        yaw, x, y, rate = (mean[best, : RATE + 1] + middle).tolist()
+        spread = own + np.einsum("k,ki,kj->ij", share, around, around)
+        width = _half_width(share, around[:, YAW], np.sqrt(np.maximum(covariance[:, YAW, YAW], 0.0)))
+        found.append(Mode(yaw % (2 * math.pi), x, y, rate, spread, width, total))
+        weight = np.where(alike, 0.0, weight)
+    return tuple(sorted(found, key=lambda mode: -mode.probability))
+
+
+def _half_width(share: np.ndarray, middle: np.ndarray, std: np.ndarray) -> float:
+    """Half-width about 0 that holds as much of a mixture as one standard deviation does of a normal distribution."""
+    used = [
+        (s, m, max(d, TINY)) for s, m, d in zip(share.tolist(), middle.tolist(), std.tolist(), strict=True) if s > 0
+    ]
+    low, high = 0.0, max(abs(m) + 2 * d for _, m, d in used)
+    for _ in range(HALVINGS):
+        width = (low + high) / 2
+        held = sum(s * (math.erf((width - m) / d / ROOT) + math.erf((width + m) / d / ROOT)) / 2 for s, m, d in used)
+        low, high = (width, high) if held < ONE_STD else (low, width)
+    return (low + high) / 2
+
+
+def each_of(beliefs: Belief) -> list[Belief]:
+    """Beliefs (frame, component), one by one."""
+    whole = jax.tree.map(np.asarray, beliefs)
+    return [jax.tree.map(lambda v, k=k: v[k], whole) for k in range(len(whole.elapsed))]
