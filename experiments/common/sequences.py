@@ -87,8 +87,8 @@ def taken_up(row: dict[str, Any]) -> Recognition:
     return Recognition(
         identified=row["identified"], target="target", score=row["score"], score_bank=row["score_bank"],
         score_refined=best.score, threshold=row.get("threshold", 0.5), runner_up=None, margin=None, yaw_bin=math.nan,
-        yaw=row["yaw"], yaw_std=best.yaw_std, x=row["x"], y=row["y"], converged=best.converged, scores_by_yaw=np.empty(0),
-        hypotheses=hypotheses, segmenter="kept", semantic=np.empty((0, 0)),
+        yaw_std=best.yaw_std, x=row["x"], y=row["y"], converged=best.converged, scores_by_yaw=np.empty(0),
+        yaw=row["yaw"], hypotheses=hypotheses, segmenter="kept", semantic=np.empty((0, 0)),
     )  # fmt: skip
 
 
