@@ -34,7 +34,7 @@ def draw(runs: Path) -> Figure:
         title = "one frame" if views == "1" else "two views"
         ax.set(title=title, xlabel="place [cm]", ylabel="rotation [°]", xscale="log", yscale="log")
         ax.grid(True)
-    axes[1].legend(loc="lower right")
+    axes[1].legend(loc="upper left")
     style.letters(axes)
     return figure
 
