@@ -23,15 +23,16 @@ import jax.numpy as jnp
 import numpy as np
 
 import sonarjax as sj
+from experiments.common.drawn_device import DrawnDevice, draw_device
 from experiments.common.engine import engine
 from experiments.common.frames import VALIDATION_SEED, sonar_for
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns
 from experiments.common.runs import Job
-from experiments.common.sequences import TILT_DEG, Device, draw_device, recognized, taken_up, truths
+from experiments.common.sequences import TILT_DEG, recognized, taken_up, truths
 from experiments.common.validation import BRICK_M, SEVERITIES, scenes
 from sonarjax.scene.objects import box, join
-from sonarjax.track import Standing, TrackConfig, Turning, nothing_known, numbers_of, reading_of, run_filter
+from sonarjax.track import Standing, TrackConfig, Turning, measurement_of, nothing_known, numbers_of, run_filter
 
 WIDE = 0.6
 """Share of the devices of the widest family."""
@@ -98,7 +99,7 @@ def _drawn(number: int, turns: bool, frames: int, root: jax.Array) -> list[Any]:
     key = jax.random.fold_in(root, number)
     name = list(scenes())[number % len(scenes())]
     mesh = two_fold_pile() if number >= SYMMETRIC else scenes()[name].target
-    device = draw_device(mesh, SEVERITIES, wide=WIDE, key=key)
+    device = draw_device(mesh, TILT_DEG, SEVERITIES, wide=WIDE, key=key)
     recognizer = sj.Recognizer(mesh, sonar_for(TILT_DEG), engine=engine())
     poses = [device.start] * (frames if number < SYMMETRIC else 3 * frames)
     if turns:
@@ -114,7 +115,7 @@ def two_fold_pile() -> sj.Mesh:
     return sj.Mesh.from_arrays(*join(*beside, across), name="two-fold pile")
 
 
-def turned(device: Device, frames: int, *, key: jax.Array) -> list[sj.Pose]:
+def turned(device: DrawnDevice, frames: int, *, key: jax.Array) -> list[sj.Pose]:
     """Poses of an object that turns one way, unevenly."""
     draws = np.asarray(jax.random.uniform(key, (frames + 1,)), float)
     mean = math.radians(RATES_DEG[0] + (RATES_DEG[1] - RATES_DEG[0]) * draws[0])
@@ -156,8 +157,8 @@ def log_densities(name: str, rows: list[Any], config: TrackConfig) -> np.ndarray
     turns = np.ptp(np.unwrap(truths(rows)[:, 0])) > 0
     motion = Turning() if turns else Standing()
     still = np.zeros(3)
-    readings = [reading_of(taken_up(row), 36, config, still, float(k > 0)) for k, row in enumerate(rows)]
-    stacked = jax.tree.map(lambda *v: np.stack(v), *readings)
+    measurements = [measurement_of(taken_up(row), 36, config, still, float(k > 0)) for k, row in enumerate(rows)]
+    stacked = jax.tree.map(lambda *v: np.stack(v), *measurements)
     beliefs = run_filter(nothing_known(config), stacked, numbers_of(motion, config))
     weight, mean, covariance = (np.asarray(v, float) for v in (beliefs.log_weight, beliefs.mean, beliefs.covariance))
     gap = truths(rows)[:, None] - mean[:, 1:, :3]

@@ -39,8 +39,8 @@ from experiments.common.scores import target
 from experiments.common.stream import WAYS, Finder, Named, frames_of, picture, seconds_of, taken_up, turning
 from sonarjax.io import JsonLines, SonarjaxError
 from sonarjax.plot import save_figure
+from sonarjax.results import SCHEMA, record_of
 from sonarjax.sensor import SensorModel
-from sonarjax.track.lines import SCHEMA, record_of
 
 SIMULATED_TILT_DEG = 20.0
 ASTRAY_DEG = 10.0

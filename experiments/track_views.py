@@ -25,15 +25,17 @@ import numpy as np
 
 import sonarjax as sj
 from experiments import real_turntable
+from experiments.common.drawn_device import DrawnDevice, draw_device
 from experiments.common.engine import engine
 from experiments.common.frames import GROUND_RANGE_M, sonar_for
 from experiments.common.launch import Report, Skipped, launch
 from experiments.common.metrics import columns
 from experiments.common.runs import Job
-from experiments.common.sequences import TILT_DEG, Device, Replayed, draw_device, kept, recognized, taken_up
+from experiments.common.sequences import TILT_DEG, Replayed, kept, recognized, taken_up
 from experiments.symmetric_objects import brick_pair
+from sonarjax.refine import in_view
 from sonarjax.track import Mode, modes_of
-from sonarjax.track.sequence import joined, seen_from
+from sonarjax.track.sequence import joined
 
 VIEWS = (1, 2, 4, 8, 16)
 """Numbers of views that are compared."""
@@ -99,16 +101,15 @@ def _drawn(settings: Settings, seed: int, number: int, name: str, around: bool =
     """What is recognized in each frame, with the sonar's pose in the common frame and the truth in it."""
     key = jax.random.fold_in(jax.random.key(seed), 9000 + number)
     mesh = brick_pair() if name == "two-fold pile" else OBJECTS[name]()
-    device = draw_device(mesh, SEVERITIES, key=key)
+    device = draw_device(mesh, TILT_DEG, SEVERITIES, key=key)
     recognizer = sj.Recognizer(mesh, sonar_for(TILT_DEG), segmenter=settings.segmenter, engine=engine())
     places = _around(device, settings.views, key=key) if around else [np.zeros(3)] * settings.views
     start = (float(device.start.yaw), float(device.start.x), float(device.start.y))
-    truth = Mode(*start, 0.0, np.zeros((4, 4)), 0.0, 1.0)
-    rows = recognized(device, recognizer, [seen_from(truth, at) for at in places], key=key)
+    rows = recognized(device, recognizer, [in_view(device.start, at) for at in places], key=key)
     return [row | {"true": start, "sonar": at.tolist()} for row, at in zip(rows, places, strict=True)]
 
 
-def _around(device: Device, count: int, *, key: jax.Array) -> list[np.ndarray]:
+def _around(device: DrawnDevice, count: int, *, key: jax.Array) -> list[np.ndarray]:
     """Known places x, y [m] and headings [rad] of the sonar: the object stands near the middle of each view."""
     draws = np.asarray(jax.random.uniform(jax.random.fold_in(key, 5), (count, 4), minval=-1), float)
     found = []

@@ -19,8 +19,8 @@ from functools import partial
 from typing import Any, NoReturn
 
 from sonarjax.io import FAN_OPTIONS, complain, say, silence_stdout
+from sonarjax.results import SCHEMA, record_of
 from sonarjax.segment import DEFAULT_SEGMENTER, SEGMENTERS
-from sonarjax.track.lines import SCHEMA, record_of
 
 MAX_SUB_BEAMS = 64
 

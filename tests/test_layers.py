@@ -14,7 +14,7 @@ import pytest
 PROJECT = Path(__file__).resolve().parent.parent
 STAGES = [
     "io", "scene", "sonar", "render", "sensor", "data", "segment", "match", "refine", "calibrate", "recognize", "track",
-    "plot", "cli",
+    "results", "plot", "cli",
 ]  # fmt: skip
 BASE = {"records", "engine"}  # below everything: any file may import them, and they import no stage but io
 OUTSIDE = {"cpu", "__init__", "__main__"}  # beside the order; only the command line may import cpu
@@ -105,7 +105,7 @@ def test_package_has_no_other_folder() -> None:
     folders = {p.parent.relative_to(PROJECT / "sonarjax").parts for p in (PROJECT / "sonarjax").rglob("*.py")}
     assert {parts[0] for parts in folders if parts} <= set(STAGES)
     files = {p.stem for p in (PROJECT / "sonarjax").glob("*.py")}
-    assert files <= OUTSIDE | BASE | {"recognize", "track", "plot", "cli"}
+    assert files <= OUTSIDE | BASE | {"recognize", "results", "plot", "cli"}
 
 
 BAD = {

@@ -4,62 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 import sonarjax as sj
-from experiments.common.frames import GROUND_RANGE_M, observed, sonar_for
-from experiments.common.validation import HEIGHT_STD, TILT_STD
-from sonarjax.data.materials import draw_reflectivity
+from experiments.common.drawn_device import DrawnDevice
+from experiments.common.frames import observed
 from sonarjax.recognize import Hypothesis, Recognition
-from sonarjax.sensor import SensorModel
 
 TILT_DEG = 20.0
-ASIDE_M, AHEAD_M = 0.12, 0.1
-"""Largest distance of an object from the middle of the view, to the side and ahead [m]."""
 
 
-class Device(NamedTuple):
-    """What stays the same over a sequence."""
-
-    sonar: sj.Sonar
-    """The true sonar: its tilt and height are a little off what the recognizer is told."""
-    model: SensorModel
-    """The device."""
-    mesh: sj.Mesh
-    """What is shown, as bright as it is."""
-    start: sj.Pose
-    """Where it stands first [m, rad]."""
-
-
-def draw_device(mesh: sj.Mesh, severities: tuple[float, float], *, wide: float = 0.0, key: jax.Array) -> Device:
-    """A device with its true geometry, and an object near the middle of its view at any yaw.
-
-    A share `wide` of the devices is of the widest family and sees faces of uneven brightness.
-    """
-    draws = np.asarray(jax.random.uniform(jax.random.fold_in(key, 1), (5,)), float)
-    normal = np.asarray(jax.random.normal(jax.random.fold_in(key, 2), (2,)), float)
-    nominal = sonar_for(TILT_DEG)
-    sonar = nominal.replace(
-        tilt=jnp.float32(math.radians(TILT_DEG) + TILT_STD * normal[0]),
-        height=jnp.float32(float(nominal.height) + HEIGHT_STD * normal[1]),
-    )
-    ahead, aside = (2 * draws[0] - 1) * AHEAD_M, (2 * draws[1] - 1) * ASIDE_M
-    start = sj.Pose(GROUND_RANGE_M[TILT_DEG] + ahead, aside, 2 * math.pi * draws[2])
-    severity = severities[0] + (severities[1] - severities[0]) * draws[3]
-    odd = bool(draws[4] < wide)
-    model = (SensorModel.draw_wide if odd else SensorModel.draw)(key=jax.random.fold_in(key, 3), severity=severity)
-    ground = replace(mesh, vertices=start.to_ground(mesh.vertices))
-    painted = draw_reflectivity(ground, sonar.height, mesh.n_faces, key=jax.random.fold_in(key, 4))
-    mesh = replace(mesh, reflectivity=painted if odd else jnp.ones(mesh.n_faces))
-    return Device(sonar, model, mesh, start)
-
-
-def recognized(device: Device, recognizer: sj.Recognizer, poses: Iterable[sj.Pose], *, key: jax.Array) -> list[Any]:
+def recognized(
+    device: DrawnDevice, recognizer: sj.Recognizer, poses: Iterable[sj.Pose], *, key: jax.Array
+) -> list[Any]:
     """What `recognizer` says of a frame at each of the `poses` [m, rad] in the sonar's frame: see `kept`."""
     rows = []
     for number, pose in enumerate(poses):

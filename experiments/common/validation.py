@@ -9,33 +9,29 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 import sonarjax as sj
+from experiments.common.drawn_device import draw_device
 from experiments.common.engine import engine
-from experiments.common.frames import GROUND_RANGE_M, VALIDATION_SEED, observed, sonar_for
+from experiments.common.frames import VALIDATION_SEED, observed
 from experiments.common.progress import Progress
 from experiments.common.sets import mirrored
-from sonarjax.data.materials import draw_reflectivity
 from sonarjax.scene.objects import box, cylinder_arrays, join
-from sonarjax.sensor import SensorModel
 
 BRICK_M = (0.16, 0.10, 0.07)
 """Length, width and height of a validation brick [m]: not the test's."""
-TILT_STD, HEIGHT_STD = math.radians(0.6), 0.006
-"""Standard deviations of the true tilt [rad] and height [m] from what the recognizer is told."""
 SYMMETRIC = ("mug",)
 """Objects that are their own mirror image: what is like them is shown twice as often instead."""
 SEVERITIES = (0.7, 1.6)
 """Least and largest severity of the devices [1]."""
-ASIDE_M, AHEAD_M = 0.12, 0.1
-"""Largest distance of an object from the middle of the view, to the side and ahead [m]."""
+ODD = 0.6
+"""Share of the devices that are of the widest family [1]."""
 
 
 @dataclass(frozen=True)
@@ -148,21 +144,7 @@ def validation_cases(
 
 
 def _case(name: str, mesh: sj.Mesh, shown: str, tilt_deg: float, *, key: jax.Array) -> Case:
-    draws = np.asarray(jax.random.uniform(jax.random.fold_in(key, 1), (6,)), float)
-    normal = np.asarray(jax.random.normal(jax.random.fold_in(key, 2), (2,)), float)
-    nominal = sonar_for(tilt_deg)
-    sonar = nominal.replace(
-        tilt=jnp.float32(math.radians(tilt_deg) + TILT_STD * normal[0]),
-        height=jnp.float32(float(nominal.height) + HEIGHT_STD * normal[1]),
-    )
-    ahead, aside = (2 * draws[0] - 1) * AHEAD_M, (2 * draws[1] - 1) * ASIDE_M
-    pose = sj.Pose(GROUND_RANGE_M[tilt_deg] + ahead, aside, 2 * math.pi * draws[2])
-    severity = SEVERITIES[0] + (SEVERITIES[1] - SEVERITIES[0]) * draws[3]
-    odd = bool(draws[4] < 0.6)
-    draw = SensorModel.draw_wide if odd else SensorModel.draw
-    model = draw(key=jax.random.fold_in(key, 3), severity=severity)
-    ground = replace(mesh, vertices=pose.to_ground(mesh.vertices))
-    painted = draw_reflectivity(ground, sonar.height, mesh.n_faces, key=jax.random.fold_in(key, 4))
-    mesh = replace(mesh, reflectivity=painted if odd else jnp.ones(mesh.n_faces))
-    image, clean = observed(mesh, pose, sonar, model, key=jax.random.fold_in(key, 5))
-    return Case(name, shown, np.asarray(image), np.asarray(clean), float(pose.yaw), tilt_deg, odd)
+    device = draw_device(mesh, tilt_deg, SEVERITIES, wide=ODD, key=key)
+    image, clean = observed(device.mesh, device.start, device.sonar, device.model, key=jax.random.fold_in(key, 5))
+    yaw = float(device.start.yaw)
+    return Case(name, shown, np.asarray(image), np.asarray(clean), yaw, tilt_deg, device.odd)

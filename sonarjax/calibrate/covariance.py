@@ -8,9 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sonarjax.calibrate.look import LOOK_STD
-
-DETERMINED = 0.5
-"""Most of the prior's standard deviation that is left of a number that the frames determine [1]."""
+from sonarjax.refine.uncertainty import OBSERVABLE
 
 MODEL_FRAMES = 4
 """As many frames' disagreement is worth as much as what the residuals' size says of it."""
@@ -50,7 +48,7 @@ def certainty(information: np.ndarray, scores: np.ndarray, std: np.ndarray, free
     left = np.sqrt(np.diag(covariance)) / std
     return Certainty(
         covariance=covariance,
-        determined={name: bool(share <= DETERMINED) for name, share in zip(free, left, strict=True)},
+        determined={name: bool(share <= OBSERVABLE) for name, share in zip(free, left, strict=True)},
         singular_values=np.sqrt(np.maximum(values[::-1], 0.0)),
         weakest=dict(zip(free, directions[:, 0].tolist(), strict=True)),
     )

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.refine.free import in_order
 from sonarjax.sonar import Sonar
 
 
@@ -41,12 +42,7 @@ PARAMETERS: dict[str, Parameter] = {
 
 def check_free(free: Sequence[str]) -> tuple[str, ...]:
     """The names, in the order of `PARAMETERS`. Raises SonarjaxError for none, an unknown name, or one given twice."""
-    names = [free] if isinstance(free, str) else list(free)
-    unknown = [name for name in names if name not in PARAMETERS]
-    if unknown or not names or len(set(names)) < len(names):
-        what = f"unknown {unknown[0]!r}" if unknown else f"got {names}"
-        raise SonarjaxError(f"free: expected different names of: {', '.join(PARAMETERS)}; {what}")
-    return tuple(name for name in PARAMETERS if name in names)
+    return in_order(free, PARAMETERS)
 
 
 def prior_std(free: Sequence[str], prior: Mapping[str, float] | None, sonar: Sonar) -> Float[np.ndarray, "free"]:

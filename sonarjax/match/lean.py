@@ -72,7 +72,7 @@ class LeanSearch:
     ) -> None:
         """`search` finds the place; of z, roll and pitch those in `free` are tried."""
         self.search, self.config = search, config
-        self.stances = _stances(search.mesh, free, config)
+        self.attitudes = _attitudes(search.mesh, free, config)
         self._banks: dict[tuple[int, bool], _Bank] = {}
 
     def find(self, image: np.ndarray, mask: np.ndarray | None = None) -> LeanMatch:
@@ -93,7 +93,7 @@ class LeanSearch:
         for k in kept:
             match = Match(entry.bank, scores, step * int(rows[k]) - top, int(columns[k]) - left)
             x, y = search.place(match)
-            yaw, z, roll, pitch = self.stances[k]
+            yaw, z, roll, pitch = self.attitudes[k]
             # A bank's aspect is relative to the bearing it was rendered at.
             poses.append((x, y, yaw + math.atan2(y, x), z, roll, pitch))
         return LeanMatch(Pose(*np.asarray(poses, np.float32).T), np.asarray(scores)[kept])
@@ -102,7 +102,7 @@ class LeanSearch:
         """The bank at distance number `index`, or at the next one at which the object is in view."""
         if (index, masked) not in self._banks:
             search, step = self.search, self.search.config.decimation
-            yaws, z, roll, pitch = self.stances.T
+            yaws, z, roll, pitch = self.attitudes.T
             bank = template_bank(
                 search.mesh, search.sonar, yaws, x=float(search.distances[index]), z=z, roll=roll, pitch=pitch,
                 size=self._window(), quality=search.config.quality, engine=search.engine,
@@ -119,7 +119,7 @@ class LeanSearch:
 
     def _distinct(self, scores: np.ndarray) -> list[int]:
         """The templates with the best `scores` (template,), each turned by `apart` or more from those before it."""
-        turns = np.stack([_rotation(*stance) for stance in self.stances[:, [0, 2, 3]]])
+        turns = np.stack([_rotation(*attitude) for attitude in self.attitudes[:, [0, 2, 3]]])
         kept: list[int] = []
         for k in np.argsort(-scores):
             cosines = [(np.trace(turns[k].T @ turns[other]) - 1) / 2 for other in kept]
@@ -130,7 +130,7 @@ class LeanSearch:
         return kept
 
 
-def _stances(mesh: Mesh, free: Sequence[str], config: LeanSearchConfig) -> np.ndarray:
+def _attitudes(mesh: Mesh, free: Sequence[str], config: LeanSearchConfig) -> np.ndarray:
     """Yaw [rad], z [m], roll and pitch [rad] of each template (template, 4)."""
     yaws = np.arange(config.yaw_bins) * (2 * math.pi / config.yaw_bins)
     rolls, pitches = ((0.0, -config.lean, config.lean) if name in free else (0.0,) for name in ("roll", "pitch"))

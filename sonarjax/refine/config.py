@@ -10,6 +10,9 @@ from sonarjax.refine.free import ALL
 from sonarjax.refine.template import VIEWS, Template
 from sonarjax.render import RenderQuality
 
+SLACK_M = 0.06
+"""Room around the start inside the window that is rendered [m]."""
+
 
 @dataclass(frozen=True)
 class RefineConfig:

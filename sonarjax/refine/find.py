@@ -30,10 +30,10 @@ FINDING = RefineConfig(
 """How a candidate is refined on the map, and then on the frame: bounds of a step of the bank."""
 FRAME_BLURS = (2.0, 0.7)
 """Blurs [range bins] of the refinement on the frame itself, which goes on from the map's."""
-SHAKES = {"z": 0.02, "roll": math.radians(8.0), "pitch": math.radians(8.0)}
+PERTURBATIONS = {"z": 0.02, "roll": math.radians(8.0), "pitch": math.radians(8.0)}
 """By how much the best poses are moved [m, rad] to refine them again: near the right pose there are lesser optima, some
 6° and 1 cm off."""
-SHAKEN = 2
+PERTURBED = 2
 """Hypotheses that are refined again from around them."""
 SAME, APART = math.radians(2.0), math.radians(20.0)
 """Rotation within which poses are the same, and beyond which they are other hypotheses [rad]."""
@@ -92,23 +92,21 @@ class PoseFinder:
         on_map = self._refined(frame.semantic, start, self.refine, frame)
         start = _picked(kept(on_map, start), distinct(on_map, SAME, len(np.asarray(on_map.score))))
         first = self._refined(frame.image, start, self._on_frame(), frame)
-        best = _picked(first.pose, distinct(first, APART, SHAKEN))
-        second = self._refined(frame.image, self._shaken(best), self._on_frame(), frame)
+        best = _picked(first.pose, distinct(first, APART, PERTURBED))
+        second = self._refined(frame.image, self._perturbed(best), self._on_frame(), frame)
         found = jax.tree.map(lambda *v: np.concatenate([np.asarray(x) for x in v]), first, second)
         order = distinct(found, SAME, len(found.score))
         return jax.tree.map(lambda v: jax.device_put(v[order]), found)
 
-    def _shaken(self, poses: Pose) -> Pose:
+    def _perturbed(self, poses: Pose) -> Pose:
         """Poses (hypothesis · change,) around each of `poses` (hypothesis,): z, roll and pitch moved, if free."""
         moved = []
-        for name, by in SHAKES.items():
+        for name, by in PERTURBATIONS.items():
             if name in self.free:
                 moved += [replace(poses, **{name: getattr(poses, name) + np.float32(way * by)}) for way in (1, -1)]
         return jax.tree.map(lambda *v: np.concatenate([np.asarray(x) for x in v]), *(moved or [poses]))
 
-    def views(
-        self, images: Any, sonar_poses: Pose, alone: Sequence[PoseEstimate] | None = None
-    ) -> PoseEstimate:  # fmt: skip
+    def views(self, images: Any, sonar_poses: Pose, alone: Sequence[PoseEstimate] | None = None) -> PoseEstimate:
         """The poses (hypothesis,) that views (view, range, beam) of one standing object fit together, best first.
 
         `sonar_poses` (view,) are x, y [m] and yaw [rad] of the sonars in a common ground frame, that of the result.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -42,12 +42,20 @@ BOUNCE = Number(0.2, 2e-2, "1")
 
 def check_free(free: Sequence[str]) -> tuple[str, ...]:
     """The names in the order of `NUMBERS`. Raises SonarjaxError for none, an unknown name, or one given twice."""
-    names = [free] if isinstance(free, str) else list(free)
-    unknown = [name for name in names if name not in NUMBERS]
+    return in_order(free, NUMBERS)
+
+
+def in_order(free: Sequence[str], known: Iterable[str]) -> tuple[str, ...]:
+    """The names of `free` in the order of the `known` ones.
+
+    Raises SonarjaxError for none, an unknown name, or one given twice.
+    """
+    names, order = [free] if isinstance(free, str) else list(free), list(known)
+    unknown = [name for name in names if name not in order]
     if unknown or not names or len(set(names)) < len(names):
         what = f"unknown {unknown[0]!r}" if unknown else f"got {names}"
-        raise SonarjaxError(f"free: expected different names of: {', '.join(NUMBERS)}; {what}")
-    return tuple(name for name in NUMBERS if name in names)
+        raise SonarjaxError(f"free: expected different names of: {', '.join(order)}; {what}")
+    return tuple(name for name in order if name in names)
 
 
 def trusts(free: Sequence[str]) -> tuple[float, ...]:

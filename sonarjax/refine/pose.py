@@ -16,11 +16,11 @@ from jaxtyping import Array, Bool, Float, Int
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.records import record, static
-from sonarjax.refine.config import RefineConfig
+from sonarjax.refine.config import SLACK_M, RefineConfig
 from sonarjax.refine.free import ON_FLOOR, check_free, displacements, pose_at, trusts
 from sonarjax.refine.implicit import attach, hessian, is_minimum, without_gradient
 from sonarjax.refine.objective import Problem, crop_score, make_blur
-from sonarjax.refine.solver import SETTLED_SHARE, STATIONARY_SHARE, Search, Solution, begun, coarse_to_fine
+from sonarjax.refine.solver import INSIDE, SETTLED_SHARE, STATIONARY_SHARE, Search, Solution, begun, coarse_to_fine
 from sonarjax.refine.template import BOUNCE_BOUNDS, VIEWS, Subject, nominal_law
 from sonarjax.refine.uncertainty import Observability, error_covariance, normal_equations, observability, prior_std
 from sonarjax.refine.views import Job, check_views, in_view, refine_jointly
@@ -29,11 +29,6 @@ from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS, leaning_room
 from sonarjax.render.simulate import one_by_one
 from sonarjax.scene import Mesh, Pose
 from sonarjax.sonar import Sonar
-
-SLACK_M = 0.06
-"""Room around the start inside the window [m]."""
-INSIDE = 0.98
-"""Share of the bounds inside which a solution is an interior one."""
 
 
 @record

@@ -30,6 +30,8 @@ from sonarjax.refine.template import (
     semantic_template,
 )
 
+INSIDE = 0.98
+"""Share of the bounds inside which a solution is an interior one."""
 INNER_STEPS = 4
 SETTLED_SHARE = 0.02
 """Of the trust region: after a smaller step the next blur is begun, or the search ends."""

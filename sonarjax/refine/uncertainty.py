@@ -15,8 +15,7 @@ from sonarjax.refine.solver import Found
 CORRELATED_BEAMS = 5
 """Beams over which residuals err together, less and less, in the covariance."""
 OBSERVABLE = 0.5
-"""Most of the prior's standard deviation that is left of a number that the frame determines [1], as `calibrate` has
-it."""
+"""Most of the prior's standard deviation that is left of a number that the frame determines [1]."""
 FINEST = 40.0
 """No number is taken to be known better than to this part of its prior, of usual bounds 2 mm and 0.6° [1]: on noisy
 frames templates are not that exact, and a facet of a tessellated body would pass for an edge that tells its yaw."""

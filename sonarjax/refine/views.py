@@ -18,10 +18,10 @@ from jaxtyping import Array, Float
 
 from sonarjax.engine import Engine
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.refine.config import RefineConfig
-from sonarjax.refine.free import ALL, BOUNCE, NUMBERS
+from sonarjax.refine.config import SLACK_M, RefineConfig
+from sonarjax.refine.free import ALL, BOUNCE, trusts
 from sonarjax.refine.objective import ROW_STRIDE, Problem, box_around, crop_score, make_blur, normalised
-from sonarjax.refine.solver import SETTLED_SHARE, Found, Search, best_template
+from sonarjax.refine.solver import INSIDE, SETTLED_SHARE, Found, Search, best_template
 from sonarjax.refine.template import (
     BOUNCE_BOUNDS,
     VIEWS,
@@ -38,14 +38,10 @@ from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS, leaning_room
 from sonarjax.scene import Mesh, Pose
 from sonarjax.sonar import Sonar
 
-SLACK_M = 0.06
-"""Room around the start inside the window [m]."""
 LEAST_GAIN = 2e-4
 """A step that lowers the cost by a smaller share is the last."""
 MOST_DAMPING = 1e3
 """Damping at which no step is to be had."""
-TRUST = np.array([NUMBERS[name].trust for name in ALL])
-"""Largest step of each number in one iteration."""
 
 
 class Fixed(NamedTuple):
@@ -195,7 +191,7 @@ def _search(job: Job, start: Pose, held: np.ndarray) -> tuple[Joint, tuple[np.nd
     low, high = BOUNCE_BOUNDS[config.template]
     most = np.concatenate([np.where(held, 0.0, bounds), np.full(views, high)])
     least = np.concatenate([-most[:count], np.full(views, low)])
-    trust = np.array([*(NUMBERS[name].trust for name in job.free), *[BOUNCE.trust] * views])
+    trust = np.array([*trusts(job.free), *[BOUNCE.trust] * (views - 1)])
     evaluate = _evaluator(job, start)
     point, begun, settled = np.clip(np.zeros(count + views), least, most), None, False
     for sigma in config.blurs:
@@ -218,7 +214,7 @@ def _search(job: Job, start: Pose, held: np.ndarray) -> tuple[Joint, tuple[np.nd
     known, fast = jnp.isfinite(here.cost), jnp.asarray(np.concatenate([held, np.zeros(views, bool)]))
     told = observability(here.normal, prior, known, count)
     covariance = np.asarray(error_covariance(here.normal, prior, fast, known))[:count, :count]
-    inside = np.abs(point[:count]) < 0.98 * bounds
+    inside = np.abs(point[:count]) < INSIDE * bounds
     found = Joint(
         _moved(start, job.free, point), covariance, here.score, float(begun or 0.0),
         bool((inside | held).all() and settled and np.isfinite(here.cost)),

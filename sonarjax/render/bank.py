@@ -88,11 +88,11 @@ def template_bank(
     yaws = np.atleast_1d(np.asarray(yaws, np.float32))
     if yaws.ndim != 1 or yaws.size == 0 or not np.isfinite(yaws).all():
         raise SonarjaxError(f"yaws: expected a non-empty list of finite angles [rad], got shape {yaws.shape}")
-    stances = _stances(yaws, {"z": z, "roll": roll, "pitch": pitch})
-    room = leaning_room(mesh, stances[:, 1].max(), *np.abs(stances[:, 2:]).max(axis=0))
+    attitudes = _attitudes(yaws, {"z": z, "roll": roll, "pitch": pitch})
+    room = leaning_room(mesh, attitudes[:, 1].max(), *np.abs(attitudes[:, 2:]).max(axis=0))
     size = size or plan_window(room, sonar, float(np.hypot(x, y)))
     place = np.float32(x), np.float32(y)
-    views = _all_views(room, sonar, stances, place, size, quality, engine)
+    views = _all_views(room, sonar, attitudes, place, size, quality, engine)
     images, (row, column) = views.images, views.corner
     box = _touched_box(images)
     if box is None:
@@ -106,7 +106,7 @@ def template_bank(
     return TemplateBank(*(jax.device_put(v) for v in (crop, yaws, offset, *place, np.float32(sonar.tilt))))
 
 
-def _stances(yaws: np.ndarray, others: dict[str, Any]) -> np.ndarray:
+def _attitudes(yaws: np.ndarray, others: dict[str, Any]) -> np.ndarray:
     """Yaw, z, roll and pitch of each template (yaw, 4). Raises SonarjaxError where they do not fit."""
     for name, value in others.items():
         if np.shape(value) not in ((), yaws.shape) or not np.isfinite(np.asarray(value)).all():
@@ -126,18 +126,24 @@ class BankViews(NamedTuple):
 
 
 def _all_views(
-    mesh: Mesh, sonar: Sonar, stances: np.ndarray, place: Any, size: WindowSize, quality: RenderQuality, engine: Engine
+    mesh: Mesh,
+    sonar: Sonar,
+    attitudes: np.ndarray,
+    place: Any,
+    size: WindowSize,
+    quality: RenderQuality,
+    engine: Engine,
 ) -> BankViews:
     """The views in parts of VIEWS, so that banks of any length share compiled code; the last part repeats its last."""
-    parts = -(-len(stances) // VIEWS)
-    filler = np.repeat(stances[-1:], parts * VIEWS - len(stances), axis=0)
-    padded = np.concatenate([stances, filler]).reshape(parts, VIEWS, -1)
+    parts = -(-len(attitudes) // VIEWS)
+    filler = np.repeat(attitudes[-1:], parts * VIEWS - len(attitudes), axis=0)
+    padded = np.concatenate([attitudes, filler]).reshape(parts, VIEWS, -1)
 
     def render_part(mesh: Mesh) -> BankViews:
         found = engine.map(
             lambda part: engine.run(_render_views, mesh, sonar, part, *place, size=size, quality=quality), padded
         )
-        images = np.concatenate([np.asarray(part.images) for part in found])[: len(stances)]
+        images = np.concatenate([np.asarray(part.images) for part in found])[: len(attitudes)]
         row, column = (int(v) for v in found[0].corner)
         return BankViews(images, (row, column), np.max([part.overflow for part in found]))
 
@@ -146,15 +152,15 @@ def _all_views(
 
 @partial(jax.jit, static_argnames=("size", "quality"))
 def _render_views(
-    mesh: Mesh, sonar: Sonar, stances: Array, x: Any, y: Any, *, size: WindowSize, quality: RenderQuality
+    mesh: Mesh, sonar: Sonar, attitudes: Array, x: Any, y: Any, *, size: WindowSize, quality: RenderQuality
 ) -> BankViews:
     window = place_window(size, mesh, sonar, x, y)
 
-    def one(stance: Array) -> tuple[Array, Array]:
-        frame = render_window(mesh, Pose(x, y, *stance), sonar, window, quality)
+    def one(attitude: Array) -> tuple[Array, Array]:
+        frame = render_window(mesh, Pose(x, y, *attitude), sonar, window, quality)
         return frame.semantic(), frame.overflow
 
-    images, overflow = jax.lax.map(one, jnp.asarray(stances))
+    images, overflow = jax.lax.map(one, jnp.asarray(attitudes))
     return BankViews(images, (window.row, window.column), overflow.max())
 
 

@@ -1,13 +1,13 @@
 """Sequences: a belief over yaw, x, y and yaw rate, fed by the recognizer's hypotheses frame by frame."""
 
-from sonarjax.track.belief import Belief, Numbers, Reading, next_belief, nothing_known, numbers_of, run_filter
+from sonarjax.track.belief import Belief, Measurement, Numbers, next_belief, nothing_known, numbers_of, run_filter
+from sonarjax.track.measurement import Mode, measurement_of, modes_of
 from sonarjax.track.motion import Motion, Standing, TrackConfig, Turning
-from sonarjax.track.reading import Mode, modes_of, reading_of
 from sonarjax.track.sequence import Track, Tracked, Tracker, track
 from sonarjax.track.smooth import run_smoother
 
 __all__ = [
-    "Belief", "Mode", "Motion", "Numbers", "Reading", "Standing", "Track", "TrackConfig", "Tracked", "Tracker",
-    "Turning", "modes_of", "next_belief", "nothing_known", "numbers_of", "reading_of", "run_filter", "run_smoother",
+    "Belief", "Mode", "Motion", "Numbers", "Measurement", "Standing", "Track", "TrackConfig", "Tracked", "Tracker",
+    "Turning", "modes_of", "next_belief", "nothing_known", "numbers_of", "measurement_of", "run_filter", "run_smoother",
     "track",
 ]  # fmt: skip

@@ -49,7 +49,7 @@ class Belief:
 
 
 @record
-class Reading:
+class Measurement:
     """What a recognizer made of one frame, in the sonar's frame; hypotheses beyond their number have weight -inf."""
 
     log_weight: Float[Array, "*batch hypothesis"]
@@ -122,26 +122,28 @@ def nothing_known(config: TrackConfig) -> Belief:
     )
 
 
-def step(belief: Belief, reading: Reading, numbers: Numbers) -> Belief:
+def step(belief: Belief, measurement: Measurement, numbers: Numbers) -> Belief:
     """The belief after one more frame: predicted by `elapsed` to where the sonar is now, then updated.
 
-    A component's yaw stays in [0, 2π). A `reading` whose hypotheses all have weight -inf only predicts.
+    A component's yaw stays in [0, 2π). A `measurement` whose hypotheses all have weight -inf only predicts.
     """
-    mean, covariance, _, _ = predicted(belief, reading.sonar, reading.elapsed, numbers)
-    fading = jnp.where(jnp.isfinite(reading.log_weight).any(), numbers.fading, 1.0)
+    mean, covariance, _, _ = predicted(belief, measurement.sonar, measurement.elapsed, numbers)
+    fading = jnp.where(jnp.isfinite(measurement.log_weight).any(), numbers.fading, 1.0)
     before = fading * belief.log_weight
     before = before - jax.scipy.special.logsumexp(before)
-    many, count = len(before), reading.log_weight.shape[0]
-    fits = jax.vmap(lambda m, p: jax.vmap(lambda h, s: _kalman(m, p, h, s, reading.sonar))(reading.pose, reading.std))
+    many, count = len(before), measurement.log_weight.shape[0]
+    fits = jax.vmap(
+        lambda m, p: jax.vmap(lambda h, s: _kalman(m, p, h, s, measurement.sonar))(measurement.pose, measurement.std)
+    )
     likelihood, new_mean, new_covariance = fits(mean, covariance)
     # Wrong hypotheses lie anywhere: all likelihoods are relative to their density, 1 / (2π area).
     real = slice(1, None)  # without 'anywhere'
     density = likelihood + numbers.log_volume
-    hit = before[:, None] + reading.log_weight + density
-    missed = before + reading.log_miss + _alike(density[real], before[real], reading, numbers)
-    born = before[0] + reading.log_weight
-    start_mean, start_covariance = jax.vmap(lambda h, s: _first(h, s, reading.sonar, numbers))(
-        reading.pose, reading.std
+    hit = before[:, None] + measurement.log_weight + density
+    missed = before + measurement.log_miss + _alike(density[real], before[real], measurement, numbers)
+    born = before[0] + measurement.log_weight
+    start_mean, start_covariance = jax.vmap(lambda h, s: _first(h, s, measurement.sonar, numbers))(
+        measurement.pose, measurement.std
     )
     numbers_of_parents = jnp.arange(many)
     parts = [
@@ -165,21 +167,21 @@ def step(belief: Belief, reading: Reading, numbers: Numbers) -> Belief:
         covariance=whole.covariance,
         parent=whole.parent.astype(jnp.int32),
         gain=jnp.where(jnp.isfinite(gain), gain, -jnp.inf),
-        sonar=reading.sonar,
-        elapsed=reading.elapsed,
+        sonar=measurement.sonar,
+        elapsed=measurement.elapsed,
         fading=fading,
     )
 
 
-def _alike(density: Array, log_weight: Array, reading: Reading, numbers: Numbers) -> Array:
+def _alike(density: Array, log_weight: Array, measurement: Measurement, numbers: Numbers) -> Array:
     """Log of how likely a frame's hypotheses are when none is right, relative to their lying anywhere.
 
     A share of wrong ones lies where a wrong one did before: at the other yaws at which an object looks much the same.
     Were all thought to lie anywhere, two of them in a row would outweigh any belief.
     """
     known = jnp.where(jnp.isfinite(log_weight)[:, None], density, -jnp.inf)
-    nearest = known.max(axis=0) + reading.log_weight
-    total = jax.scipy.special.logsumexp(reading.log_weight)
+    nearest = known.max(axis=0) + measurement.log_weight
+    total = jax.scipy.special.logsumexp(measurement.log_weight)
     some = jnp.isfinite(total)
     again = jnp.where(some, jax.scipy.special.logsumexp(nearest) - jnp.where(some, total, 0.0), 0.0)
     return jnp.logaddexp(jnp.log1p(-numbers.alias), jnp.log(numbers.alias) + again)
@@ -252,14 +254,14 @@ def _first(pose: Array, std: Array, sonar: Array, numbers: Numbers) -> tuple[Arr
 
 
 @jax.jit
-def run_filter(belief: Belief, readings: Reading, numbers: Numbers) -> Belief:
-    """The beliefs (frame, component) after each of the `readings` (frame, hypothesis), one step each."""
+def run_filter(belief: Belief, measurements: Measurement, numbers: Numbers) -> Belief:
+    """The beliefs (frame, component) after each of the `measurements` (frame, hypothesis), one step each."""
 
-    def one(before: Belief, reading: Reading) -> tuple[Belief, Belief]:
-        after = step(before, reading, numbers)
+    def one(before: Belief, measurement: Measurement) -> tuple[Belief, Belief]:
+        after = step(before, measurement, numbers)
         return after, after
 
-    return jax.lax.scan(one, belief, readings)[1]
+    return jax.lax.scan(one, belief, measurements)[1]
 
 
 next_belief = jax.jit(step)

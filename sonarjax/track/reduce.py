@@ -12,8 +12,6 @@ COMPARED = 4
 """Yaw, x, y and rate: components are alike where these are."""
 LEAST_STD = 1e-4
 """Differences below are none [rad, m, rad/frame], however sure a component is."""
-
-
 ALIKE = 1.5
 """Largest ratio of the standard deviations of yaw of components that are joined: a frame that may be far off is another
 explanation than the same frame taken at its word, and their mean would be neither."""

@@ -13,10 +13,11 @@ import numpy as np
 
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.recognize import Recognition, Recognizer
+from sonarjax.refine import in_view
 from sonarjax.scene import Pose
 from sonarjax.track.belief import Belief, next_belief, nothing_known, numbers_of, predicted
+from sonarjax.track.measurement import Mode, each_of, measurement_of, modes_of
 from sonarjax.track.motion import Motion, Standing, TrackConfig, Turning
-from sonarjax.track.reading import Mode, each_of, modes_of, reading_of
 from sonarjax.track.smooth import run_smoother
 
 MOST_EXPECTED = 2
@@ -139,9 +140,9 @@ class Tracker:
         at = _sonar_numbers(sonar_pose)
         _check_elapsed(elapsed)
         elapsed = elapsed if self._begun else 0.0
-        reading = reading_of(found, self.recognizer.search.yaw_bins, self.config, at, elapsed)
+        measurement = measurement_of(found, self.recognizer.search.yaw_bins, self.config, at, elapsed)
         self._begun = True
-        self.belief = next_belief(self.belief, reading, self.numbers)
+        self.belief = next_belief(self.belief, measurement, self.numbers)
         return Tracked(modes_of(self.belief), found, error, self.belief)
 
     def expected(self, sonar_pose: Pose | None = None, elapsed: float = 1.0) -> tuple[Mode, ...]:
@@ -154,17 +155,10 @@ class Tracker:
         """Where the target is expected in the frame of a sonar at `at` (3,)."""
         modes = self.expected(Pose(*at.tolist()), elapsed)[:MOST_EXPECTED]
         known = [m for m in modes if m.probability >= LEAST_EXPECTED and m.yaw_std <= WELL_KNOWN]
-        return [seen_from(mode, at) for mode in known]
+        return [in_view(Pose(mode.x, mode.y, mode.yaw), at) for mode in known]
 
 
 _predict = jax.jit(predicted)
-
-
-def seen_from(mode: Mode, sonar: np.ndarray) -> Pose:
-    """A mode's pose in the frame of a sonar at `sonar` (3,): x, y [m] and yaw [rad] in the common frame."""
-    dx, dy = mode.x - float(sonar[0]), mode.y - float(sonar[1])
-    c, s = math.cos(float(sonar[2])), math.sin(float(sonar[2]))
-    return Pose(c * dx + s * dy, c * dy - s * dx, (mode.yaw - float(sonar[2])) % (2 * math.pi))
 
 
 def track(

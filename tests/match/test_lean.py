@@ -1,4 +1,4 @@
-"""Banks over lean: the stances that are tried, and which of them a clean image is matched with."""
+"""Banks over lean: the attitudes that are tried, and which of them a clean image is matched with."""
 
 import math
 
@@ -21,19 +21,19 @@ def search():
     )
 
 
-def test_stances_stand_as_high_as_they_are_told(search):
-    stances = search.stances
-    assert len(stances) == 12 * 9
-    for yaw, z, roll, pitch in stances[::7]:
+def test_attitudes_stand_as_high_as_they_are_told(search):
+    attitudes = search.attitudes
+    assert len(attitudes) == 12 * 9
+    for yaw, z, roll, pitch in attitudes[::7]:
         placed = np.asarray(sj.Pose(0.0, 0.0, yaw, z, roll, pitch).to_ground(MESH.vertices))
         assert placed[:, 2].min() == pytest.approx(0.02, abs=1e-5)
-    upright = LeanSearch(search.search, ("yaw", "x", "y"), CONFIG).stances
+    upright = LeanSearch(search.search, ("yaw", "x", "y"), CONFIG).attitudes
     assert len(upright) == 12 and not upright[:, 1:].any()
 
 
-def test_a_clean_image_is_matched_with_its_stance(search):
+def test_a_clean_image_is_matched_with_its_attitude(search):
     k = 12 * 5 + 7
-    yaw, z, roll, pitch = search.stances[k]
+    yaw, z, roll, pitch = search.attitudes[k]
     truth = sj.Pose(2.3, 0.1, yaw + math.atan2(0.1, 2.3), z, roll, pitch)
     found = search.find(np.asarray(sj.render(MESH, truth, SONAR).semantic()))
     assert found.poses.shape == (4,) and (np.diff(found.scores) <= 1e-6).all()

@@ -11,10 +11,19 @@ import numpy as np
 import pytest
 
 import sonarjax as sj
-from sonarjax.track import Standing, TrackConfig, Turning, modes_of, next_belief, nothing_known, numbers_of, reading_of
+from sonarjax.track import (
+    Standing,
+    TrackConfig,
+    Turning,
+    measurement_of,
+    modes_of,
+    next_belief,
+    nothing_known,
+    numbers_of,
+)
 from sonarjax.track.belief import run_filter
-from sonarjax.track.reading import each_of, probability
-from tests.track.readings import STD, Reader, found
+from sonarjax.track.measurement import each_of, probability
+from tests.track.measurements import STD, Reader, found
 
 # One Gaussian for each hypothesis, with the whole of its error bar; hardly any misses.
 PLAIN = TrackConfig(yaw_scale=1.0, tail=1e-6, misses=1e-6, floor=1e-4, place_floor=1e-5)
@@ -40,7 +49,7 @@ def off(yaw: float, true: float) -> float:
 
 @pytest.mark.parametrize("count", [1, 2, 5, 40])
 def test_views_of_a_standing_object_average_out_down_to_the_floor(count, rng):
-    """The mean of n readings, of variance scale² std² / n + floor²."""
+    """The mean of n measurements, of variance scale² std² / n + floor²."""
     config = TrackConfig(yaw_scale=0.7, tail=1e-6, misses=1e-6, floor=math.radians(0.5))
     yaws = 1.0 + STD * rng.standard_normal(count)
     mode = best(after([found([yaw]) for yaw in yaws], config=config))
@@ -192,9 +201,9 @@ def test_what_is_expected_is_given_in_the_sonars_frame():
 # ---------------------------------------------------------------- transformations
 
 
-def readings(config: TrackConfig, shift: float = 0.0):
+def measurements(config: TrackConfig, shift: float = 0.0):
     frames = [found([0.3 + shift + 0.1 * k, 3.0 - 0.2 * k], [0.8, 0.7]) for k in range(6)]
-    rows = [reading_of(one, 36, config, np.zeros(3), float(k > 0)) for k, one in enumerate(frames)]
+    rows = [measurement_of(one, 36, config, np.zeros(3), float(k > 0)) for k, one in enumerate(frames)]
     return jax.tree.map(lambda *v: jnp.stack(v), *rows)
 
 
@@ -206,11 +215,11 @@ def same(one, other) -> None:
 def test_a_scan_and_a_batch_are_the_loop():
     config = TrackConfig(components=8)
     numbers, start = numbers_of(Turning(), config), nothing_known(config)
-    many = [readings(config, shift) for shift in (0.0, 0.4, 1.1)]
+    many = [measurements(config, shift) for shift in (0.0, 0.4, 1.1)]
     looped = []
     for one in many:
         belief = start
-        for row in each_of_readings(one):
+        for row in each_of_measurements(one):
             belief = next_belief(belief, row, numbers)
         looped.append(belief)
     scanned = [jax.tree.map(lambda v: v[-1], run_filter(start, one, numbers)) for one in many]
@@ -221,7 +230,7 @@ def test_a_scan_and_a_batch_are_the_loop():
         same(summed(belief), summed(jax.tree.map(lambda v, k=k: v[k, -1], batch)))
 
 
-def each_of_readings(whole):
+def each_of_measurements(whole):
     return [jax.tree.map(lambda v, k=k: v[k], whole) for k in range(len(whole.elapsed))]
 
 
@@ -237,7 +246,7 @@ def test_weights_are_probabilities_and_covariances_stay_positive(rng):
     for _ in range(60):
         yaws = rng.uniform(0, 2 * math.pi, 3)
         one = found(yaws, rng.uniform(0.3, 0.9, 3), probability=float(rng.uniform(0, 1)))
-        belief = next_belief(belief, reading_of(one, 36, config, np.zeros(3), 1.0), numbers)
+        belief = next_belief(belief, measurement_of(one, 36, config, np.zeros(3), 1.0), numbers)
         assert float(jnp.exp(belief.log_weight).sum()) == pytest.approx(1.0, abs=1e-4)
         alive = np.isfinite(np.asarray(belief.log_weight))
         alive[0] = False
@@ -247,7 +256,7 @@ def test_weights_are_probabilities_and_covariances_stay_positive(rng):
 
 def test_beliefs_one_by_one():
     config = TrackConfig(components=4)
-    beliefs = run_filter(nothing_known(config), readings(config), numbers_of(Standing(), config))
+    beliefs = run_filter(nothing_known(config), measurements(config), numbers_of(Standing(), config))
     parts = each_of(beliefs)
     assert len(parts) == 6
     np.testing.assert_array_equal(parts[-1].mean, np.asarray(beliefs.mean[-1]))

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import sonarjax as sj
+from sonarjax.results import record_of
 from sonarjax.sensor import SensorModel, observe_scene
 from sonarjax.track import TrackConfig
-from sonarjax.track.lines import record_of
 from sonarjax.track.sequence import joined
-from tests.track.readings import STD, Reader, found, frame
+from tests.track.measurements import STD, Reader, found, frame
 
 PLAIN = TrackConfig(yaw_scale=1.0, tail=1e-6, misses=1e-6, floor=1e-4, place_floor=1e-5)
 
@@ -24,7 +24,7 @@ def off_deg(yaw, true):
 
 
 def joint(yaws, motion: sj.Turning) -> tuple[np.ndarray, np.ndarray]:
-    """Means and standard deviations of all yaws of a turn, given all readings: by solving one large linear system."""
+    """Means and standard deviations of all yaws of a turn, given all measurements: by one large linear system."""
     count = len(yaws)
     rows, values = [], []
 

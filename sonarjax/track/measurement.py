@@ -1,4 +1,4 @@
-"""What a frame says: a recognizer's hypotheses as a `Reading`; and what a belief says: its modes, best first."""
+"""What a frame says: a recognizer's hypotheses as a `Measurement`; and what a belief says: its modes, best first."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from sonarjax.recognize import SAME_YAW, Hypothesis, Recognition
-from sonarjax.track.belief import RATE, YAW, Belief, Reading
+from sonarjax.track.belief import RATE, YAW, Belief, Measurement
 from sonarjax.track.motion import TrackConfig
 
 UNRULED = {True: 0.9, False: 0.1}
@@ -44,9 +44,9 @@ class Mode:
     """Probability of this one among all, and of being somewhere else [1]."""
 
 
-def reading_of(
+def measurement_of(
     found: Recognition | None, yaw_bins: int, config: TrackConfig, sonar: np.ndarray, elapsed: float
-) -> Reading:
+) -> Measurement:
     """The hypotheses of a recognition, or of none; `sonar` (3,) is where it was: x, y [m], yaw [rad].
 
     Each hypothesis stands for two errors: one as its error bar says, and one of the tails.
@@ -70,7 +70,7 @@ def reading_of(
             miss = 0.0
     flat = pose.reshape(-1, 3), np.where(np.isfinite(std), std, 1.0).reshape(-1, 3)
     values = (weight.reshape(-1), np.asarray(miss), *flat, np.asarray(sonar), np.asarray(elapsed))
-    return Reading(*(jnp.asarray(v, jnp.float32) for v in values))
+    return Measurement(*(jnp.asarray(v, jnp.float32) for v in values))
 
 
 def probability(found: Recognition) -> float:
