@@ -11,6 +11,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from sonarjax.calibrate import stated_std, yaw_std_of_geometry
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.match import SearchConfig, TargetSearch
@@ -53,9 +54,9 @@ class Hypothesis:
     score: float
     """NCC (eq. 4) of its template."""
     yaw_std: float | None
-    """Standard deviation of the refined yaw [rad], given this hypothesis: see `refine.ErrorBar`.
+    """Standard deviation of the refined yaw [rad], given this hypothesis; None without refinement.
 
-    None without refinement."""
+    See `refine.ErrorBar`; where the sonar states its `geometry_std`, what that adds is in it."""
     converged: bool = True
     """False where refinement did not settle inside its bounds; the yaw is then the better of bin and refined one."""
     x: float | None = None
@@ -134,6 +135,7 @@ class Recognizer:
         if refine is not None and not isinstance(refine, RefineConfig):
             raise SonarjaxError(f"refine: expected a RefineConfig, or None for no refinement, got {refine!r}")
         named = _named(targets)
+        self._stated = stated_std(sonar)
         sonar = sonar.replace(geometry_std=None)  # no part of what is rendered: else all would be compiled again
         self.sonar, self.search, self.engine = sonar, search, engine
         self.targets = {name: TargetSearch(m, sonar, search, name=name, engine=engine) for name, m in named.items()}
@@ -209,12 +211,12 @@ class Recognizer:
         name, search = next(iter(self.targets.items()))
         prepare_refinement(search.mesh, self.sonar, Pose(), self.refine, self.engine, self._windows[name])
 
-    def _window(self, best: Candidate) -> WindowSize | None:
-        """The usual window where it is large enough for the match, else what that needs."""
-        usual = self._windows[best.search.name]
+    def _window(self, search: TargetSearch, at: Pose) -> WindowSize | None:
+        """The usual window where it is large enough for the target `at` its place, else what that needs."""
+        usual = self._windows[search.name]
         if usual is None or self.refine is None:
             return None
-        needed = plan_refinement(best.search.mesh, self.sonar, Pose(x=best.x, y=best.y), self.refine)
+        needed = plan_refinement(search.mesh, self.sonar, at, self.refine)
         return usual if usual.holds(needed) else needed
 
     def _threshold(self, threshold: float | None, given: bool) -> float:
@@ -253,7 +255,8 @@ class Recognizer:
 
         def refined(start: Start) -> tuple[YawEstimate, Pose, Evidence]:
             assert self.refine is not None
-            return refine_start(start, image, seen, mask, self.refine, self._window(start.candidate), self.engine)
+            window = self._window(start.candidate.search, Pose(x=start.candidate.x, y=start.candidate.y))
+            return refine_start(start, image, seen, mask, self.refine, window, self.engine)
 
         # Each on its own: one that settles early waits for no other.
         parts = self.engine.map(refined, starts)
@@ -265,7 +268,21 @@ class Recognizer:
         order = int(np.argmax([one.score for one in hypotheses]))
         evidence = {name: float(values[order]) for name, values in vars(gathered).items()}
         evidence |= curves | {"curvature_std": float(estimate.yaw_std[order])}
-        return _distinct(hypotheses), float(pose.x[order]), float(pose.y[order]), evidence
+        told = [self._with_geometry(one, best.search, image, mask) for one in _distinct(hypotheses)]
+        return tuple(told), float(pose.x[order]), float(pose.y[order]), evidence
+
+    def _with_geometry(
+        self, one: Hypothesis, search: TargetSearch, image: np.ndarray, mask: np.ndarray | None
+    ) -> Hypothesis:
+        """The hypothesis with what an uncertain geometry adds to its error bar, where the sonar states one."""
+        if not self._stated or self.refine is None or one.yaw_std is None or one.x is None or one.y is None:
+            return one
+        at = Pose(x=one.x, y=one.y, yaw=one.yaw)
+        added = yaw_std_of_geometry(
+            image, search.mesh, self.sonar, at, self._stated, on_frame(self.refine), mask=mask,
+            window=self._window(search, at), engine=self.engine,
+        )  # fmt: skip
+        return replace(one, yaw_std=math.hypot(one.yaw_std, added))
 
 
 def recognize(

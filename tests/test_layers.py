@@ -105,7 +105,7 @@ def test_package_has_no_other_folder() -> None:
     folders = {p.parent.relative_to(PROJECT / "sonarjax").parts for p in (PROJECT / "sonarjax").rglob("*.py")}
     assert {parts[0] for parts in folders if parts} <= set(STAGES)
     files = {p.stem for p in (PROJECT / "sonarjax").glob("*.py")}
-    assert files <= OUTSIDE | BASE | {"recognize", "results", "plot", "cli"}
+    assert files <= OUTSIDE | BASE | {"recognize", "results", "plot"}
 
 
 BAD = {
@@ -124,12 +124,12 @@ BAD = {
     "plot imports cli": ("sonarjax/plot.py", "from sonarjax.cli import main"),
     "unknown folder": ("sonarjax/utils/a.py", "from sonarjax.io import Frame"),
     "trimesh elsewhere": ("sonarjax/render/a.py", "import trimesh.ray"),
-    "trimesh at the top": ("sonarjax/cli.py", "from trimesh import Trimesh"),
+    "trimesh at the top": ("sonarjax/cli/a.py", "from trimesh import Trimesh"),
     "jaxopt elsewhere": ("sonarjax/match/a.py", "from jaxopt import LBFGSB"),
     "pickle": ("sonarjax/io/a.py", "import pickle"),
     "pickle in an experiment": ("experiments/a.py", "from pickle import loads"),
     "experiment draws": ("experiments/a.py", "from paper_figs import fig7"),
-    "package runs an experiment": ("sonarjax/cli.py", "import experiments.bench_all"),
+    "package runs an experiment": ("sonarjax/cli/a.py", "import experiments.bench_all"),
     "a stage tunes the process": ("sonarjax/render/a.py", "from sonarjax.cpu import tune"),
     "a stage asks for threads": ("sonarjax/recognize.py", "from sonarjax import cpu"),
     "importing tunes the process": ("sonarjax/__init__.py", "from sonarjax.cpu import tune"),
@@ -144,8 +144,14 @@ GOOD = {
         "import jaxopt\nfrom sonarjax.match import x\nfrom sonarjax.io import y",
     ),
     "a mesh": ("sonarjax/scene/a.py", "import trimesh"),
-    "top files": ("sonarjax/cli.py", "from sonarjax import plot, recognize\nfrom sonarjax.recognize import recognize"),
-    "a command and the processor": ("sonarjax/cli.py", "from sonarjax import cpu\nfrom sonarjax.cpu import CpuEngine"),
+    "top files": (
+        "sonarjax/cli/a.py",
+        "from sonarjax import plot, recognize\nfrom sonarjax.recognize import recognize",
+    ),
+    "a command, the processor": (
+        "sonarjax/cli/a.py",
+        "from sonarjax import cpu\nfrom sonarjax.cpu import CpuEngine",
+    ),
     "the package's face": ("sonarjax/__init__.py", "from sonarjax.engine import x\nfrom sonarjax.cli import main"),
     "what is below all": (
         "sonarjax/io/a.py",

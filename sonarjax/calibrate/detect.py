@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sonarjax.engine import Engine
+from sonarjax.io.errors import SonarjaxError
 from sonarjax.match import SearchConfig, TargetSearch
 from sonarjax.refine import (
     MAP_REFINEMENT,
@@ -76,11 +77,17 @@ def best_height(
 ) -> float:
     """The height [m] of `heights` (height,) with which the target's templates match the frames' maps best.
 
-    A frame counts by its best score over all heights, so that frames without the target count little.
+    A frame counts by its best score over all heights, so that frames without the target count little. Heights from
+    which the aperture sees no floor in the window are passed over. Raises SonarjaxError if all of them are.
     """
     scores = np.full((len(heights), len(frames)), -math.inf)
     for row, height in enumerate(heights):
-        banks = TargetSearch(mesh, sonar.replace(height=float(height)), search, engine=engine)
+        try:
+            banks = TargetSearch(mesh, sonar.replace(height=float(height)), search, engine=engine)
+        except SonarjaxError:
+            if row + 1 == len(heights) and np.isneginf(scores).all():
+                raise
+            continue
         scores[row] = [locate(banks, frame.seen, frame.mask).score for frame in frames]
     best = scores.max(axis=0)
     chosen = best >= np.median(best)

@@ -13,7 +13,7 @@ from sonarjax.calibrate.covariance import Certainty, certainty, overcounted
 from sonarjax.calibrate.detect import Prepared
 from sonarjax.calibrate.look import LOOK
 from sonarjax.calibrate.parameters import changed_sonar
-from sonarjax.calibrate.picture import make_sampling
+from sonarjax.calibrate.picture import make_sampling, measured_mean
 from sonarjax.calibrate.solver import (
     BOUNCE,
     OWN,
@@ -150,16 +150,26 @@ def _best_tilt(job: Job, evaluate: Callable[[Point, int], list[Blocks]], point: 
 
 def _row_spread(observations: Sequence[Observation], sampling: Any) -> np.ndarray:
     """A first guess of the residuals' standard deviation (row,): how much neighbouring beams differ."""
-    sampled = [np.asarray(sampling(seen.image)) for seen in observations]
-    return _smooth(np.median([np.diff(s, axis=1).std(axis=1) for s in sampled], axis=0))
+    return _smooth(np.median([_beam_difference(seen, sampling) for seen in observations], axis=0))
+
+
+def _beam_difference(seen: Observation, sampling: Any) -> np.ndarray:
+    """Standard deviation (row,) of the differences between neighbouring columns, where both were measured; else 0."""
+    both = np.minimum(*(np.asarray(sampling(seen.mask))[:, part] for part in (slice(1, None), slice(None, -1))))
+    weight = both / np.maximum(both.sum(axis=1, keepdims=True), 1e-6)
+    differs = np.diff(np.asarray(measured_mean(sampling, seen.image, seen.mask)), axis=1)
+    mean = (weight * differs).sum(axis=1, keepdims=True)
+    return np.sqrt((weight * (differs - mean) ** 2).sum(axis=1))
 
 
 def _smooth(spread: np.ndarray) -> np.ndarray:
     """Standard deviations (row,) averaged over neighbouring rows, none below what is usual.
 
-    Where a frame is dark it is quiet too; the picture is not that exact there, far down the skirt of the pattern.
+    Where a frame is dark it is quiet too; the picture is not that exact there, far down the skirt of the pattern. Rows
+    in which nothing was measured hold 0 and do not count.
     """
     width = 9
     padded = np.pad(spread.astype(np.float64), width // 2, mode="edge")
     mean = np.convolve(padded, np.ones(width) / width, mode="valid")
-    return np.maximum(mean, np.median(mean) + 1e-4).astype(np.float32)
+    usual = np.median(mean[spread > 0]) if (spread > 0).any() else 0.0
+    return np.maximum(mean, usual + 1e-4).astype(np.float32)

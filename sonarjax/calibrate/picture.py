@@ -140,6 +140,16 @@ class Sampling(NamedTuple):
         return self.along @ image @ self.across.T
 
 
+def measured_mean(
+    sampling: Sampling, image: Float[Array | np.ndarray, "range beam"], mask: Float[Array | np.ndarray, "range beam"]
+) -> Any:
+    """The blurred image (row, column), averaged over the measured pixels alone; 0 where there are none nearby.
+
+    `mask` (range, beam) is 1 where a pixel was measured, else 0.
+    """
+    return sampling(image * mask) / jnp.maximum(sampling(mask), 1e-6)
+
+
 ROWS, COLUMNS = 4, 2
 """Range bins and beams from one compared pixel to the next."""
 

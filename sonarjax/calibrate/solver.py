@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 
 from sonarjax.calibrate.look import LOOK, LOOK_STD, LOOK_TRUST, Look
 from sonarjax.calibrate.parameters import PARAMETERS, changed_sonar
-from sonarjax.calibrate.picture import Sampling, fitted, object_layers, picture
+from sonarjax.calibrate.picture import Sampling, fitted, measured_mean, object_layers, picture
 from sonarjax.records import record
 from sonarjax.refine.template import POSE
 from sonarjax.render import WindowSize
@@ -66,7 +66,7 @@ class Blocks(NamedTuple):
     cost: Float[Array, ""]
     """Half of the robust sum of squares."""
     square: Float[Array, "row"]
-    """Mean square of the residuals of each row [grey²]."""
+    """Mean square of the residuals of each row [grey²], over what was measured; 0 where nothing was."""
 
 
 class Point(NamedTuple):
@@ -141,12 +141,13 @@ def linearise(
     layers, slopes = jax.vmap(lambda t: jax.jvp(layers_at, (geometry,), (t,)), out_axes=(None, 0))(
         jnp.eye(len(geometry))
     )
-    weight = sampling(seen.mask) / std[:, None] ** 2
-    image = sampling(seen.image * seen.mask)
+    share = sampling(seen.mask)
+    weight = share / std[:, None] ** 2
+    image = measured_mean(sampling, seen.image, seen.mask)
 
     def residual(layers: Array, change: Array, look: Array, bounce: Array) -> Array:
         drawn = picture(changed_sonar(sonar, free, change), Look(*look), layers, bounce, seen.column, reference)
-        return fitted(sampling(drawn * seen.mask), image, weight) - image
+        return fitted(measured_mean(sampling, drawn, seen.mask), image, weight) - image
 
     at = layers, shared[:count], shared[count:], own[POSE]
     names = OWN + count + LOOKS
@@ -157,13 +158,14 @@ def linearise(
         by_own[:, OWN : OWN + count], by_own[:, OWN + count :], by_own[:, POSE],
     )  # fmt: skip
     found, jacobian = jax.vmap(lambda *t: jax.jvp(residual, at, t), out_axes=(None, 0))(*tangents)
-    scaled = jnp.abs(found) * jnp.sqrt(weight)
+    scaled = jnp.abs(found) / std[:, None]
     robust = jnp.where(scaled > HUBER, HUBER / jnp.maximum(scaled, 1e-6), 1.0)
     loss = jnp.where(scaled > HUBER, HUBER * (scaled - HUBER / 2), scaled**2 / 2)
     weighted = jacobian * (robust * weight)
     hessian = jnp.einsum("irb,jrb->ij", weighted, jacobian)
     # A plain tuple: the CPU's engine keeps compiled code in files, and knows no type of ours.
-    return hessian, jnp.einsum("irb,rb->i", weighted, found), loss.sum(), (robust * found**2).mean(axis=1)
+    square = (robust * share * found**2).sum(axis=1) / jnp.maximum(share.sum(axis=1), 1e-6)
+    return hessian, jnp.einsum("irb,rb->i", weighted, found), (share * loss).sum(), square
 
 
 class _Assembled(NamedTuple):

@@ -18,6 +18,7 @@ from sonarjax.calibrate.picture import (
     floor_elevation,
     leaking,
     make_sampling,
+    measured_mean,
     object_layers,
     picture,
 )
@@ -114,3 +115,16 @@ def test_offset_factor_and_slow_changes_are_least_squares() -> None:
 def test_sampling_keeps_what_is_constant() -> None:
     sampling = make_sampling((64, 96), 2.0)
     np.testing.assert_allclose(sampling(jnp.full((64, 96), 0.7)), np.full((16, 48), 0.7), rtol=1e-5)
+
+
+def test_what_was_not_measured_does_not_count() -> None:
+    """Where all is measured it is the sampling itself; where a part is, whatever stands in the rest changes nothing."""
+    rng = np.random.default_rng(4)
+    sampling = make_sampling((64, 32), 2.0)
+    image, mask = rng.normal(size=(2, 64, 32)).astype(np.float32)
+    np.testing.assert_allclose(measured_mean(sampling, image, np.ones_like(image)), sampling(image), atol=1e-5)
+    mask = (mask > 0).astype(np.float32)
+    other = np.where(mask > 0, image, 100.0).astype(np.float32)
+    np.testing.assert_array_equal(measured_mean(sampling, image, mask), measured_mean(sampling, other, mask))
+    level = measured_mean(sampling, np.full((64, 32), 0.7, np.float32), mask)
+    np.testing.assert_allclose(level, 0.7, rtol=1e-5)  # up to the mask's edge

@@ -116,5 +116,5 @@ def test_lack_of_memory_or_device_is_one_line(complaint, place, monkeypatch):
     def fail():
         raise RuntimeError("Unable to initialize backend 'cuda':\n no device")
 
-    monkeypatch.setattr("sonarjax.cli._start_jax", fail)
+    monkeypatch.setattr("sonarjax.cli.render.start_jax", fail)
     assert "render: RuntimeError: Unable to initialize" in complaint(2, *RENDER)

@@ -1,0 +1,50 @@
+"""The command `sonarjax`: render, segment, recognize, calibrate, train, info, convert; returns an exit code.
+
+Exit codes: 0 done, identified or not; 1 a frame could not be read (the batch goes on); 2 arguments, mesh, TOML or
+output that cannot be used; 130 interrupted. A wrong input gives one line on stderr. What only one command needs, such
+as drawing and training, is imported after its arguments are known to be good. Angles are in degrees here, inside in
+radians. Each command has a file here: `add` says what its arguments are, `run` does it.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+
+from sonarjax.cli import calibrate, convert, info, recognize, render, segment, train
+from sonarjax.cli.arguments import Parser
+from sonarjax.io import SonarjaxError, complain, silence_stdout
+
+__all__ = ["main"]
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command with the arguments `argv` (default: those of the process); returns the exit code.
+
+    Raises nothing for input that cannot be used, nor for an interrupt: one line on stderr says what happened.
+    """
+    try:
+        args = _parser().parse_args(argv)
+    except SystemExit as stop:  # --help, or arguments that cannot be used
+        return int(stop.code or 0)
+    try:
+        return args.run(args)
+    except SonarjaxError as error:
+        complain(str(error))
+    except KeyboardInterrupt:
+        complain("interrupted", "")
+        return 130
+    except BrokenPipeError:  # whoever read our output has gone
+        silence_stdout()
+        return 141
+    except (MemoryError, OSError, RuntimeError) as error:  # JAX reports a full memory or a missing device so
+        complain(f"{args.command}: {type(error).__name__}: {error}")
+    return 2
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = Parser(prog="sonarjax", description="Imaging-sonar simulation and recognition of objects with their yaw.")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for command in (render, segment, recognize, calibrate, train, info, convert):
+        command.add(commands)
+    return parser

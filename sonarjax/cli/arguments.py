@@ -1,0 +1,61 @@
+"""What commands' arguments have in common: the parser, numbers within limits, help."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import re
+from typing import Any, NoReturn
+
+from sonarjax.io import complain
+
+FRAME_HELP = ".npz (image, mask), .npy, .png, or a sonar file .aris/.ddf/.raw (all its frames; FILE:N for one, from 0)"
+EXITS = "exit codes: 0 done; 1 a frame could not be read; 2 arguments, mesh, TOML or output that cannot be used"
+
+
+class Parser(argparse.ArgumentParser):
+    """argparse with one line for an error, and numbers such as -1e-3 taken as numbers."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options, allow_abbrev=False)
+        self._negative_number_matcher = re.compile(r"-\.?\d")
+
+    def error(self, message: str) -> NoReturn:
+        complain(f"{self.prog.removeprefix('sonarjax').strip()}: {message} (see {self.prog} --help)".lstrip(": "))
+        raise SystemExit(2)
+
+
+def add_unit(command: argparse.ArgumentParser) -> None:
+    """Add `--unit-m`, the unit of the command's mesh files."""
+    command.add_argument(
+        "--unit-m", metavar="M", type=number, help="length of the mesh file's unit [m], such as 0.001 for millimetres"
+    )
+
+
+def number(text: str) -> float:
+    """A length or an angle. Raises argparse.ArgumentTypeError, as all these types do, for anything else."""
+    return limited(text, -1e6, 1e6)
+
+
+def correlation(text: str) -> float:
+    """A number from -1 to 1."""
+    return limited(text, -1.0, 1.0)
+
+
+def count(text: str, high: int = 65536) -> int:
+    """A whole number from 1 to `high`."""
+    value = limited(text, 1.0, float(high))
+    if value != int(value):
+        raise argparse.ArgumentTypeError(f"expected a whole number, got {text!r}")
+    return int(value)
+
+
+def limited(text: str, low: float, high: float) -> float:
+    """A number from `low` to `high`."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not low <= value <= high:
+        raise argparse.ArgumentTypeError(f"expected a number from {low:g} to {high:g}, got {text!r}")
+    return value

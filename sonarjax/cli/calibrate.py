@@ -1,0 +1,58 @@
+"""`sonarjax calibrate`: the sonar's geometry from frames of a known object."""
+
+from __future__ import annotations
+
+import argparse
+from functools import partial
+from typing import Any
+
+from sonarjax.cli.arguments import EXITS, FRAME_HELP, add_unit
+from sonarjax.cli.frames import each_frame, start_jax
+from sonarjax.io import check_outputs, complain, naming, say
+
+
+def add(commands: Any) -> None:
+    """Add the command's arguments to the parser's `commands`."""
+    command = commands.add_parser("calibrate", help="the sonar's geometry from frames of a known object", epilog=EXITS)
+    command.set_defaults(run=run)
+    command.add_argument("frames", metavar="FRAME", nargs="+", help=FRAME_HELP)
+    command.add_argument("--target", metavar="MESH", required=True, help="the object in the frames, at unknown poses")
+    command.add_argument("--sonar", metavar="S.toml", required=True, help="the sonar as it is known so far")
+    command.add_argument("--out", metavar="FITTED.toml", required=True, help="written: the fitted sonar")
+    command.add_argument(
+        "--free", metavar="NAMES", default="tilt,height", type=lambda text: tuple(text.split(",")),
+        help="what is unknown, of tilt, roll, height, elevation_aperture, range_offset, range_scale, azimuth_scale, "
+        "beam_bend (default: %(default)s)",
+    )  # fmt: skip
+    command.add_argument("--png", metavar="P", help="a picture for people: frames, and what the fit makes of them")
+    add_unit(command)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the command; returns its exit code. Raises SonarjaxError for input that cannot be used."""
+    check_outputs({"--out": args.out, "--png": args.png}, (*args.frames, args.target, args.sonar))
+    start_jax()
+    from sonarjax.calibrate import calibrate, check_free, compare_templates, describe_calibration
+    from sonarjax.cpu import CpuEngine
+    from sonarjax.scene import Mesh
+    from sonarjax.sonar import Sonar
+
+    check_free(args.free)
+    sonar, mesh = Sonar.from_toml(args.sonar), Mesh.load(args.target, args.unit_m)
+    frames = []
+    for name, frame in each_frame(args.frames):
+        if isinstance(frame, Exception):
+            complain(naming(name, frame))
+            return 1
+        frames.append(frame)
+    images, masks = [frame.image for frame in frames], [frame.mask for frame in frames]
+    found = calibrate(
+        images, mesh, sonar, free=args.free, masks=masks, engine=CpuEngine(), progress=partial(complain, kind="")
+    )
+    found.sonar.to_toml(args.out)
+    if args.png is not None:
+        from sonarjax.plot import plot_calibration, save_figure
+
+        save_figure(plot_calibration(*compare_templates(found, images, mesh, sonar), sonar), args.png)
+    say(describe_calibration(found, sonar, [frame.source for frame in frames]))
+    return 0

@@ -1,0 +1,42 @@
+"""What commands' runs have in common: every frame in the order given, and JAX set up."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+Lazy = Any  # a type of a module that is imported inside the function: the docstring names it
+
+
+def each_frame(specs: Sequence[str]) -> Iterator[tuple[str, Lazy]]:
+    """Name and io.Frame of every frame in the order given; for one that cannot be read, the exception that says why.
+
+    A bar on stderr shows progress where that is a terminal.
+    """
+    from tqdm import tqdm
+
+    from sonarjax.io import iter_frames, split_spec
+
+    with tqdm(total=len(specs), unit="frame", file=sys.stderr, disable=not sys.stderr.isatty()) as bar:
+        for spec in specs:
+            first = True
+            try:
+                for frame in iter_frames(spec):
+                    if first and split_spec(spec)[1] is None:
+                        bar.total += frame.meta["n_frames"] - 1  # known only now
+                    first = False
+                    yield frame.source, frame
+                    bar.update()
+            except BrokenPipeError:
+                raise
+            except Exception as error:
+                yield spec, error
+                bar.update()
+
+
+def start_jax() -> None:
+    """Set the process up for a CPU, before anything is compiled."""
+    from sonarjax import cpu
+
+    cpu.tune()

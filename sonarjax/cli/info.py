@@ -1,0 +1,27 @@
+"""`sonarjax info`: what a frame, sonar or weights file holds."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from sonarjax.cli.arguments import EXITS, FRAME_HELP
+from sonarjax.io import SonarjaxError, complain, describe, say
+
+
+def add(commands: Any) -> None:
+    """Add the command's arguments to the parser's `commands`."""
+    command = commands.add_parser("info", help="what a frame, sonar or weights file holds", epilog=EXITS)
+    command.set_defaults(run=run)
+    command.add_argument("file", metavar="FILE", help=f"{FRAME_HELP}, a sonar.toml, or a weights.safetensors")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the command; returns its exit code. Raises SonarjaxError for input that cannot be used."""
+    try:
+        text = describe(args.file)
+    except SonarjaxError as error:
+        complain(str(error))
+        return 2 if args.file.lower().endswith(".toml") else 1
+    say(text)
+    return 0

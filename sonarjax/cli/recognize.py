@@ -1,0 +1,89 @@
+"""`sonarjax recognize`: is the target in these frames, and at which yaw?"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from typing import Any
+
+from sonarjax.cli.arguments import EXITS, FRAME_HELP, add_unit, correlation
+from sonarjax.cli.frames import each_frame, start_jax
+from sonarjax.io import JsonLines, SonarjaxError, check_outputs, complain, naming
+from sonarjax.results import SCHEMA, record_of
+from sonarjax.segment import DEFAULT_SEGMENTER, SEGMENTERS
+
+
+def add(commands: Any) -> None:
+    """Add the command's arguments to the parser's `commands`."""
+    command = commands.add_parser("recognize", help="is the target in these frames, and at which yaw?", epilog=EXITS)
+    command.set_defaults(run=run)
+    command.add_argument("frames", metavar="FRAME", nargs="+", help=FRAME_HELP)
+    command.add_argument("--target", metavar="MESH", required=True, help="the object to look for")
+    command.add_argument(
+        "--sonar", metavar="S.toml", required=True, help="the sonar and its geometry (overrides a file's header)"
+    )
+    command.add_argument("--out", metavar="R.jsonl", required=True, help="one JSON object a frame is appended")
+    command.add_argument(
+        "--segmenter", metavar="NAME", default=DEFAULT_SEGMENTER,
+        help=f"{', '.join(SEGMENTERS)}; none matches the grey frame itself (default: %(default)s)",
+    )  # fmt: skip
+    command.add_argument("--no-refine", action="store_true", help="stop at the yaw bin of the template bank")
+    command.add_argument(
+        "--threshold", metavar="T", type=correlation, help="score from which on it is the target (default: shipped)"
+    )
+    command.add_argument(
+        "--track", action="store_true", help="the frames are one sequence: yaw and place are what all so far say"
+    )
+    command.add_argument(
+        "--motion", choices=("turning", "standing"), default="turning",
+        help="with --track, how the target may move from frame to frame (default: %(default)s)",
+    )  # fmt: skip
+    add_unit(command)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the command; returns its exit code. Raises SonarjaxError for input that cannot be used."""
+    check_outputs({"--out": args.out}, (*args.frames, args.target, args.sonar))
+    start_jax()
+    from sonarjax.cpu import CpuEngine
+    from sonarjax.recognize import Recognizer
+    from sonarjax.refine import MAP_REFINEMENT
+    from sonarjax.render import check_fits
+    from sonarjax.scene import Mesh
+    from sonarjax.segment import check_segmenter
+    from sonarjax.sonar import Sonar
+    from sonarjax.track import Standing, Tracker, Turning
+
+    check_segmenter(args.segmenter)
+    sonar, mesh = Sonar.from_toml(args.sonar), Mesh.load(args.target, args.unit_m)
+    check_fits(mesh, sonar, args.target)
+    refine = None if args.no_refine else MAP_REFINEMENT
+    try:  # a sonar that sees no floor, or too much, is refused before any frame is read
+        recognizer = Recognizer(mesh, sonar, segmenter=args.segmenter, refine=refine, engine=CpuEngine())
+    except SonarjaxError as error:
+        raise SonarjaxError(naming(args.sonar, error)) from error
+    motion = Turning() if args.motion == "turning" else Standing()
+    tracker = Tracker(recognizer, motion, threshold=args.threshold) if args.track else None
+    code = 0
+    with JsonLines(args.out) as lines:
+        for name, frame in each_frame(args.frames):
+            try:
+                if isinstance(frame, Exception):
+                    raise frame
+                started = time.perf_counter()
+                if tracker is None:
+                    found, tracked = recognizer(frame.image, frame.mask, threshold=args.threshold), None
+                else:
+                    found = tracker.recognize(frame.image, frame.mask)
+                    tracked = tracker.take(found)
+                record = record_of(found, frame.source, time.perf_counter() - started, tracked)
+            except BrokenPipeError:
+                raise
+            except Exception as error:  # whatever one frame does to us, the others are still to be recognized
+                if tracker is not None:
+                    tracker.take(None)
+                record = {"frame": name, "error": naming(name, error), "schema": SCHEMA}
+                complain(record["error"])
+                code = 1
+            lines.write(record)
+    return code

@@ -1,0 +1,62 @@
+"""`sonarjax render`: simulate the frame of a mesh."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from functools import partial
+from typing import Any
+
+from sonarjax.cli.arguments import EXITS, add_unit, count, number
+from sonarjax.cli.frames import start_jax
+from sonarjax.io import check_outputs, complain
+
+MAX_SUB_BEAMS = 64
+
+
+def add(commands: Any) -> None:
+    """Add the command's arguments to the parser's `commands`."""
+    command = commands.add_parser("render", help="simulate the frame of a mesh", epilog=EXITS)
+    command.set_defaults(run=run)
+    command.add_argument("mesh", metavar="MESH", help="surface in any format that trimesh reads (STL, OBJ, PLY, ...)")
+    command.add_argument("--sonar", metavar="S.toml", required=True, help="the sonar and its geometry")
+    command.add_argument("--x", metavar="M", required=True, type=number, help="forward position of the mesh [m]")
+    command.add_argument("--y", metavar="M", required=True, type=number, help="its position to port [m]")
+    command.add_argument(
+        "--yaw-deg", metavar="D", required=True, type=number, help="its yaw, counter-clockwise from above [deg]"
+    )
+    command.add_argument(
+        "--out", metavar="FRAME.npz", required=True,
+        help="written: image (semantic), intensity, highlight, shadow, labels, azimuth_deg, range_edges_m",
+    )  # fmt: skip
+    command.add_argument(
+        "--png", metavar="P",
+        help="a picture for people: polar and fan views with axes (for a frame that is data, use FRAME.npz)",
+    )  # fmt: skip
+    add_unit(command)
+    command.add_argument(
+        "--sub-beams", metavar="N", type=partial(count, high=MAX_SUB_BEAMS),
+        help=f"azimuth parts of a beam, 1 to {MAX_SUB_BEAMS} (default: 2)",
+    )  # fmt: skip
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the command; returns its exit code. Raises SonarjaxError for input that cannot be used."""
+    check_outputs({"--out": args.out, "--png": args.png}, (args.mesh, args.sonar))
+    start_jax()
+    from sonarjax.render import RenderQuality, check_fits, render, write_frame
+    from sonarjax.scene import Mesh, Pose
+    from sonarjax.sonar import Sonar
+
+    sonar, mesh = Sonar.from_toml(args.sonar), Mesh.load(args.mesh, args.unit_m)
+    check_fits(mesh, sonar, args.mesh)
+    quality = RenderQuality() if args.sub_beams is None else RenderQuality(sub_beams=args.sub_beams)
+    frame = render(mesh, Pose(x=args.x, y=args.y, yaw=math.radians(args.yaw_deg)), sonar, quality=quality)
+    write_frame(args.out, frame, sonar)
+    if args.png is not None:
+        from sonarjax.plot import plot_frame, save_figure
+
+        save_figure(plot_frame(frame, sonar), args.png)
+    if not frame.labels().any():
+        complain(f"{args.mesh}: nothing of it is in the sonar's view at x {args.x:g} m, y {args.y:g} m", "note: ")
+    return 0

@@ -1,0 +1,51 @@
+"""`sonarjax segment`: background, highlight and shadow of frames."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from typing import Any
+
+from sonarjax.cli.arguments import EXITS, FRAME_HELP
+from sonarjax.cli.frames import each_frame, start_jax
+from sonarjax.io import SonarjaxError, check_label_files, complain, make_folder, naming, write_npz
+
+
+def add(commands: Any) -> None:
+    """Add the command's arguments to the parser's `commands`."""
+    command = commands.add_parser("segment", help="background, highlight and shadow of frames", epilog=EXITS)
+    command.set_defaults(run=run)
+    command.add_argument("frames", metavar="FRAME", nargs="+", help=FRAME_HELP)
+    command.add_argument(
+        "--out-dir", metavar="DIR", required=True,
+        help="folder, made if missing; labels_<stem>.npz with `labels`: 0 background, 1 highlight, 2 shadow",
+    )  # fmt: skip
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the command; returns its exit code. Raises SonarjaxError for input that cannot be used."""
+    check_label_files(args.out_dir, args.frames)
+    start_jax()
+
+    from sonarjax.cpu import CpuEngine
+    from sonarjax.segment import load_segmenter
+
+    segmenter, engine = load_segmenter(), CpuEngine()
+    make_folder(args.out_dir)
+    code, written = 0, dict[str, str]()
+    for name, frame in each_frame(args.frames):
+        try:
+            if isinstance(frame, Exception):
+                raise frame
+            labels = segmenter.labels(frame.image, frame.mask, engine)
+        except BrokenPipeError:
+            raise
+        except Exception as error:  # whatever one frame does to us, the others are still to be segmented
+            complain(naming(name, error))
+            code = 1
+            continue
+        if written.setdefault(frame.stem, name) != name:
+            raise SonarjaxError(f"{name}: its labels would overwrite those of {written[frame.stem]}: same stem")
+        path = os.path.join(args.out_dir, f"labels_{frame.stem}.npz")
+        write_npz(path, labels=labels)
+    return code

@@ -1,0 +1,39 @@
+"""`sonarjax train`: train the pix2pix segmenter on simulated pairs."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from sonarjax.cli.frames import start_jax
+from sonarjax.io import complain, say
+
+
+def add(commands: Any) -> None:
+    """Add the command's arguments to the parser's `commands`."""
+    command = commands.add_parser("train", help="train the pix2pix segmenter on simulated pairs")
+    command.set_defaults(run=run)
+    command.add_argument(
+        "--preset", choices=("smoke", "cpu", "paper"), required=True,
+        help="smoke: does it run; cpu: the recipe of the shipped weights; paper: full width and 30 epochs, for a GPU",
+    )  # fmt: skip
+    command.add_argument(
+        "--run-dir", metavar="RUN", required=True,
+        help="folder, made if missing: checkpoints, TensorBoard events, metrics.jsonl, samples, weights.safetensors",
+    )  # fmt: skip
+    command.add_argument("--resume", action="store_true", help="go on from the last checkpoint in RUN, if there is one")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the command; returns its exit code. Raises SonarjaxError for input that cannot be used."""
+    start_jax()
+    from sonarjax.cpu import CpuEngine, keep_memory
+    from sonarjax.segment.training import train
+
+    keep_memory()  # a third of a step would go into asking for its memory again
+    result = train(args.preset, args.run_dir, resume=args.resume, engine=CpuEngine())
+    if not result.finished:
+        complain(f"stopped after step {result.step}; --resume goes on from there", "")
+        return 130
+    say(f"{result.weights}: " + ", ".join(f"{name} {value:.3f}" for name, value in result.metrics.items()))
+    return 0
