@@ -14,8 +14,9 @@ def add(commands: Any) -> None:
     command = commands.add_parser("train", help="train the pix2pix segmenter on simulated pairs")
     command.set_defaults(run=run)
     command.add_argument(
-        "--preset", choices=("smoke", "cpu", "paper"), required=True,
-        help="smoke: does it run; cpu: the recipe of the shipped weights; paper: full width and 30 epochs, for a GPU",
+        "--preset", choices=("smoke", "cpu", "paper-cpu", "paper"), required=True,
+        help="smoke: does it run; cpu: the recipe of the shipped weights; paper-cpu: the paper's, eq. 3 alone and 30 "
+        "epochs, at width 16; paper: the same at full width, for a GPU",
     )  # fmt: skip
     command.add_argument(
         "--run-dir", metavar="RUN", required=True,

@@ -20,6 +20,7 @@ from sonarjax.data.materials import draw_reflectivity
 from sonarjax.data.objects import draw_shape
 from sonarjax.data.scenes import render_scenes
 from sonarjax.data.shapes import N_FACES, remove_walls, shape_mesh
+from sonarjax.data.tank_views import draw_tank_view
 from sonarjax.data.views import draw_view
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
@@ -56,6 +57,12 @@ class PairSettings:
     `draw_reflectivity`); the others have a device of the family and equal faces."""
     smoothed: float = 0.3
     """Share of pairs [1] whose image was resampled, and so smoothed, after it was stored: fan pictures."""
+    tank: bool = False
+    """Every view is one of §3.1 (`draw_tank_view`), instead of any sonar at any place (`draw_view`)."""
+
+
+PAPER_SETTINGS = PairSettings(odd=0.0, smoothed=0.0, tank=True)
+"""The pairs of §3.1: a DIDSON in the tank of Table 1."""
 
 
 @record
@@ -100,7 +107,7 @@ def make_pairs(
     return jax.tree.map(lambda *v: jnp.concatenate(v)[:count], *parts)
 
 
-def paper_pairs(run_seed: int, settings: PairSettings = PairSettings()) -> Pairs:
+def paper_pairs(run_seed: int, settings: PairSettings = PAPER_SETTINGS) -> Pairs:
     """The fixed set of §3.1: 6,780 training pairs."""
     return make_pairs(PAPER_PAIRS, settings, key=split_key(run_seed, "train"))
 
@@ -116,7 +123,8 @@ def draw_pair(settings: PairSettings, *, key: Array) -> Pairs:
     """One pair, without the leading axis."""
     shape_key, view_key, severity_key, model_key, noise_key, box_key, odd_key = jax.random.split(key, 7)
     shape = draw_shape(key=shape_key)
-    view = draw_view(settings.n_ranges, settings.n_beams, key=view_key)
+    draw = draw_tank_view if settings.tank else draw_view
+    view = draw(settings.n_ranges, settings.n_beams, key=view_key)
     mesh = shape_mesh(shape.kind, view.pose.to_ground(shape.vertices), view.walls)
     low, high = settings.severity
     severity = jax.random.uniform(severity_key, minval=low, maxval=high)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from sonarjax.data import PairSettings
-from sonarjax.data.pairs import PAPER_PAIRS
+from sonarjax.data.pairs import PAPER_PAIRS, PAPER_SETTINGS
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.segment.step import GanConfig
 
@@ -114,6 +114,20 @@ PRESETS: dict[str, Recipe] = {
         sets=9,
         validation_pairs=256,
     ),
+    # §3.2 on two cores: eq. 3 alone, 30 epochs of the 6,780 pairs, at a quarter of the width.
+    "paper-cpu": Recipe(
+        name="paper-cpu",
+        networks=GanConfig(width=16, discriminator_width=16),
+        batch=4,
+        pairs=PAPER_PAIRS,
+        passes=30,
+        mirrored=0.0,
+        plain=0.0,
+        pair_settings=PAPER_SETTINGS,
+        validation_pairs=256,
+        checkpoint_steps=1000,
+        log_steps=50,
+    ),
     # §3.2 on a GPU: 30 epochs of the 6,780 pairs at full width.
     "paper": Recipe(
         name="paper",
@@ -123,6 +137,7 @@ PRESETS: dict[str, Recipe] = {
         passes=30,
         mirrored=0.0,
         plain=0.0,
+        pair_settings=PAPER_SETTINGS,
         validation_pairs=256,
         checkpoint_steps=1000,
         log_steps=50,

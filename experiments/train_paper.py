@@ -1,0 +1,87 @@
+"""How good does the paper's own recipe get? Eq. 3 alone, 30 epochs of the 6,780 pairs of §3.1, at width 16.
+
+python -m experiments.train_paper [--seeds 0 1 2] [--preset smoke] [--help]
+
+The network that seed 0 leaves, <code>/training/weights.safetensors in the run's folder, is `paper-cpu.safetensors`
+beside this script once `fit_decision --into` has given it its decision rule. An interrupted training goes on from its
+last checkpoint.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from experiments.common.launch import Report, launch
+from experiments.common.metrics import columns
+from experiments.common.runs import Job, code_digest
+from experiments.train_discriminative import train_to_the_end
+from sonarjax.segment.training import find_recipe
+
+HEADS = {
+    "when": "after",
+    "epoch": "epoch",
+    "iou_mean": "IoU",
+    "iou_highlight": "of highlight",
+    "iou_shadow": "of shadow",
+    "psnr_db": "PSNR [dB]",
+    "psnr_gain_db": "gain [dB]",
+}
+SMALL = {"pairs": 16, "passes": 2, "validation_pairs": 8, "checkpoint_steps": 4}
+"""What the smoke preset changes in the recipe, beside the width."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What is trained."""
+
+    recipe: Literal["paper-cpu", "paper"] = "paper-cpu"
+    """Whose networks and pairs; see `sonarjax train`."""
+    small: bool = False
+    """A training of seconds instead, which only shows that it runs."""
+
+
+def run(settings: Settings, job: Job) -> Report:
+    """Validation metrics of the best and of the last epoch, all of them as curves, and how fast it was."""
+    recipe = replace(find_recipe(settings.recipe), run_seed=job.seed)
+    if settings.small:
+        recipe = replace(recipe, networks=replace(recipe.networks, width=4, discriminator_width=4), **SMALL)
+    folder = job.folder / code_digest() / "training"  # never on from other code's checkpoint
+    before, started = len(_epochs(folder)), time.perf_counter()
+    result = train_to_the_end(recipe, folder)
+    epochs = _epochs(folder)
+    images = recipe.epoch_steps * recipe.batch
+    rate = images * max(len(epochs) - before, 1) / (time.perf_counter() - started)
+    best = max(epochs, key=lambda epoch: epoch["iou_mean"])
+    return {
+        "rows": [{"when": "the best epoch", **best}, {"when": "the last epoch", **epochs[-1]}],
+        "epochs": epochs,
+        "images": images * len(epochs),
+        "images_per_s": rate,
+        "hours": images * len(epochs) / rate / 3600,
+        "width": recipe.networks.width,
+        "batch": recipe.batch,
+        "pairs": recipe.pairs,
+        "weights": result.weights,
+    }
+
+
+def _epochs(folder: Path) -> list[dict[str, Any]]:
+    """Losses and validation metrics of each epoch that a training has ended."""
+    path = folder / "metrics.jsonl"
+    lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+    return [json.loads(line) for line in lines]
+
+
+def table(report: Report) -> str:
+    """The two epochs, and the cost."""
+    rows = columns([row | {"epoch": f"{row['epoch']:.0f}"} for row in report["rows"]], HEADS)
+    cost = f"{report['images']:.0f} images in {report['hours']:.2f} h, {report['images_per_s']:.0f} a second"
+    return f"{rows}\n\nwidth {report['width']:.0f}, {cost}\n\n{report['weights']}"
+
+
+if __name__ == "__main__":
+    launch(run, Settings, table, smoke={"small": True})
