@@ -2,23 +2,26 @@
 
 python -m experiments.train_paper [--seeds 0 1 2] [--preset smoke] [--help]
 
-The network that seed 0 leaves, <code>/training/weights.safetensors in the run's folder, is `paper-cpu.safetensors`
-beside this script once `fit_decision --into` has given it its decision rule. An interrupted training goes on from its
-last checkpoint.
+`--into experiments/paper-cpu.safetensors` made the file beside this script, from seed 0; `fit_threshold` and
+`fit_decision --into` gave it its threshold and its rule. An interrupted training goes on from its last checkpoint.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+import jax
+
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns
 from experiments.common.runs import Job, code_digest
 from experiments.train_discriminative import train_to_the_end
+from sonarjax.io.safetensors import read_safetensors, write_safetensors
 from sonarjax.segment.training import find_recipe
 
 HEADS = {
@@ -42,6 +45,8 @@ class Settings:
     """Whose networks and pairs; see `sonarjax train`."""
     small: bool = False
     """A training of seconds instead, which only shows that it runs."""
+    into: str = ""
+    """A file that is given the weights, with what the training cost; empty for none."""
 
 
 def run(settings: Settings, job: Job) -> Report:
@@ -56,13 +61,17 @@ def run(settings: Settings, job: Job) -> Report:
     images = recipe.epoch_steps * recipe.batch
     rate = images * max(len(epochs) - before, 1) / (time.perf_counter() - started)
     best = max(epochs, key=lambda epoch: epoch["iou_mean"])
+    cost = {"hours": images * len(epochs) / rate / 3600, "images_per_s": rate, "width": recipe.networks.width}
+    cost["device"] = f"{os.cpu_count()} cores" if jax.default_backend() == "cpu" else jax.devices()[0].device_kind
+    if settings.into:
+        assert result.weights is not None
+        arrays, about = read_safetensors(result.weights)
+        write_safetensors(settings.into, arrays, about | {"cost": cost})
     return {
         "rows": [{"when": "the best epoch", **best}, {"when": "the last epoch", **epochs[-1]}],
         "epochs": epochs,
         "images": images * len(epochs),
-        "images_per_s": rate,
-        "hours": images * len(epochs) / rate / 3600,
-        "width": recipe.networks.width,
+        **cost,
         "batch": recipe.batch,
         "pairs": recipe.pairs,
         "weights": result.weights,
@@ -80,7 +89,7 @@ def table(report: Report) -> str:
     """The two epochs, and the cost."""
     rows = columns([row | {"epoch": f"{row['epoch']:.0f}"} for row in report["rows"]], HEADS)
     cost = f"{report['images']:.0f} images in {report['hours']:.2f} h, {report['images_per_s']:.0f} a second"
-    return f"{rows}\n\nwidth {report['width']:.0f}, {cost}\n\n{report['weights']}"
+    return f"{rows}\n\nwidth {report['width']:.0f} on {report['device']}: {cost}"
 
 
 if __name__ == "__main__":

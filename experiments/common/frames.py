@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +14,8 @@ import numpy as np
 import sonarjax as sj
 from experiments.common.engine import engine
 from experiments.common.progress import Progress
+from sonarjax.data.tank_views import BEHIND_M, GROUND_RANGES_M, TRANSLATION_M
+from sonarjax.scene.objects import TANK_M
 from sonarjax.sensor import SensorModel, observe_scene
 
 TILTS_DEG = (15.0, 20.0, 25.0)
@@ -21,7 +23,7 @@ VALIDATION_SEED = 1000
 """Added to a run's seed where something is fitted: test frames have seeds below it."""
 STEP_DEG = 5
 """Yaw steps are a multiple of it. Numbers 1 to 3 of a seed's key are training's (`sonarjax.data.split_key`)."""
-GROUND_RANGE_M = {15.0: 2.45, 20.0: 2.30, 25.0: 2.10}
+GROUND_RANGE_M = dict(zip(TILTS_DEG, GROUND_RANGES_M, strict=True))
 
 
 @dataclass(frozen=True)
@@ -58,12 +60,14 @@ def paper_frames(
     other: sj.Mesh | None = None,
     model: SensorModel | None = None,
     tilts_deg: Sequence[float] = TILTS_DEG,
+    tank: bool = False,
 ) -> list[TestFrame]:
     """Four sets (tilts 15, 20, 25° and one drawn of them) of target and non-target, yaw in steps of `step_deg`.
 
     With steps of 10° these are the 288 frames of §4.1. `yaw_offset_deg` adds a uniform offset within ± that to each.
     The sensor is the nominal DIDSON at `severity`, or with `drawn` another device of the family for every frame.
-    `other` takes the non-target's place, `model` the sensor's, and `tilts_deg` that of the tilts.
+    `other` takes the non-target's place, `model` the sensor's, and `tilts_deg` that of the tilts. With `tank` the
+    object stands in the tank of Table 1, moved by one of its translations.
 
     No key of a frame is one of training's pairs. Raises SonarjaxError for a tilt that is not one of §4.1, or a step
     that is no multiple of 5° or does not divide the circle.
@@ -93,7 +97,8 @@ def paper_frames(
         pose = sj.Pose(GROUND_RANGE_M[tilt], 0.0, yaw)
         sensor = _device(severity, drawn, key=jax.random.fold_in(part, 3)) if model is None else model
         mesh = meshes[0] if is_target else meshes[1]
-        image, clean = observed(mesh, pose, sonar_for(tilt), sensor, key=jax.random.fold_in(part, 7))
+        look = partial(observed_in_tank, place_key=jax.random.fold_in(part, 5)) if tank else observed
+        image, clean = look(mesh, pose, sonar_for(tilt), sensor, key=jax.random.fold_in(part, 7))
         return TestFrame(np.asarray(image), np.asarray(clean), is_target, yaw, tilt)
 
     with Progress("simulating frames", len(cases), unit="frame", leave=False) as progress:
@@ -132,3 +137,28 @@ def _observed(
 ) -> tuple[jax.Array, jax.Array]:
     image, frame = observe_scene(mesh, pose, sonar, model, key=key)
     return image, frame.semantic()
+
+
+def observed_in_tank(
+    mesh: sj.Mesh, pose: sj.Pose, sonar: sj.Sonar, model: SensorModel, *, place_key: jax.Array, key: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """The same in the tank of Table 1, where walls are seen too; the semantic image is that of the object alone.
+
+    `place_key` draws one of Table 1's translations in x and in y, and how far behind the object the far wall is.
+    """
+    moved = jax.random.randint(place_key, (2,), -1, 2) * TRANSLATION_M
+    pose = sj.Pose(pose.x + moved[0], pose.y + moved[1], pose.yaw)
+    behind = jax.random.uniform(jax.random.fold_in(place_key, 1))
+    length, width, _ = TANK_M
+    far = pose.x + BEHIND_M + behind * (length - pose.x - BEHIND_M)
+    middle = far - length / 2
+    in_tank = sonar.replace(floor=sj.FloorPatch(middle, 0.0, length, width))
+    clean = sj.render(mesh, pose, in_tank).semantic()
+    walls = sj.Pose(middle, 0.0, 0.0)
+    image, _ = observe_scene((mesh, _tank()), (pose, walls), in_tank, model, key=key)
+    return image, clean
+
+
+@cache
+def _tank() -> sj.Mesh:
+    return sj.objects.tank()

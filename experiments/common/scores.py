@@ -14,9 +14,8 @@ import sonarjax as sj
 from experiments.common.frames import TestFrame, sonar_for
 from experiments.common.metrics import WITHIN_BIN_DEG, accuracy, best_accuracy, summary_deg, yaw_error_deg
 from experiments.common.recognizers import recognizers, unrefined
-from experiments.common.segmenters import loaded, map_of, threshold_of
+from experiments.common.segmenters import TILES, TRUTH, loaded, map_of, threshold_of
 from experiments.common.sets import target
-from sonarjax.segment import SEGMENTERS
 
 
 class Found(NamedTuple):
@@ -60,7 +59,7 @@ def recognize_all(
     frames of the target are refined: yaw is judged on them alone.
     """
     sought, limit = target() if mesh is None else mesh, threshold_of(segmenter)  # first: a wrong name is told at once
-    own = loaded(segmenter) if refine and segmenter in SEGMENTERS else None
+    own = loaded(segmenter) if refine and segmenter not in (TILES, TRUTH) else None
     by_rule = own is not None and own.rule is not None
     recognizer_of = recognizers(sought, segmenter=own if by_rule else "none", sonar_of=sonar_of)
     results, seconds = [], []

@@ -1,7 +1,8 @@
-"""The segmenters that experiments compare, by name: those of the package, and the paper's 'discriminative model'.
+"""The segmenters that experiments compare, by name: those of the package, and two networks of the paper.
 
-The discriminative model is the same U-Net trained on the same pairs by cross-entropy alone, by the experiment
-`train_discriminative`. Its weights lie beside this file: a baseline is for checking results, not for users.
+The 'discriminative model' is the shipped U-Net trained on the same pairs by cross-entropy alone, by the experiment
+`train_discriminative`; `paper-cpu` is the paper's own recipe, by `train_paper`. Their weights lie in the folder above:
+a baseline is for checking results, not for users.
 """
 
 from __future__ import annotations
@@ -15,13 +16,17 @@ import numpy as np
 import sonarjax as sj
 from experiments.common.engine import engine
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.segment import SEGMENTERS
 from sonarjax.segment.tiled import segment
 
-DISCRIMINATIVE, TILES, TRUTH = "discriminative", "pix2pix-tiles", "truth"
-Name = Literal["truth", "pix2pix", "pix2pix-tiles", "discriminative", "none", "otsu", "otsu1", "otsu3", "median-otsu"]
-DISCRIMINATIVE_WEIGHTS = Path(__file__).resolve().parents[1] / "discriminative.safetensors"
-OWN_THRESHOLDS = {TRUTH: 0.947, TILES: 0.825, DISCRIMINATIVE: 0.851}
+TILES, TRUTH = "pix2pix-tiles", "truth"
+Name = Literal[
+    "truth", "pix2pix", "pix2pix-tiles", "paper-cpu", "discriminative", "none", "otsu", "otsu1", "otsu3", "median-otsu"
+]
+BASELINES = {
+    name: Path(__file__).resolve().parents[1] / f"{name}.safetensors" for name in ("paper-cpu", "discriminative")
+}
+"""Weights of the networks that are not the package's, by name."""
+OWN_THRESHOLDS = {TRUTH: 0.947, TILES: 0.825, "discriminative": 0.851}
 """Least score of an identified target, from validation frames of experiments/fit_threshold.py."""
 NAMES: tuple[Name, ...] = get_args(Name)
 """All that are compared: `truth` is the true map, `pix2pix-tiles` the network without its closer looks."""
@@ -29,7 +34,7 @@ NAMES: tuple[Name, ...] = get_args(Name)
 
 def available() -> tuple[Name, ...]:
     """The names whose weights are there."""
-    return tuple(name for name in NAMES if name != DISCRIMINATIVE or DISCRIMINATIVE_WEIGHTS.exists())
+    return tuple(name for name in NAMES if name not in BASELINES or BASELINES[name].exists())
 
 
 class HasMap(Protocol):
@@ -60,7 +65,7 @@ def map_of(name: str, frame: HasMap) -> np.ndarray:
 
 def threshold_of(name: str) -> float:
     """Least score of an identified target, fixed on validation frames. Raises SonarjaxError where there is none."""
-    known = OWN_THRESHOLDS.get(name) if name not in SEGMENTERS else loaded(name).threshold
+    known = OWN_THRESHOLDS[name] if name in OWN_THRESHOLDS else loaded(name).threshold
     if known is None:
         raise SonarjaxError(f"{name}: no threshold yet; experiments/fit_threshold.py --segmenters {name} finds one")
     return known
@@ -68,8 +73,5 @@ def threshold_of(name: str) -> float:
 
 @cache
 def loaded(name: str) -> sj.Segmenter:
-    """A segmenter of the package, or the discriminative network, read once.
-
-    Raises SonarjaxError for a name or file that is not there.
-    """
-    return sj.load_segmenter(DISCRIMINATIVE_WEIGHTS if name == DISCRIMINATIVE else name)
+    """A segmenter of the package or a baseline, read once. Raises SonarjaxError for one that is not there."""
+    return sj.load_segmenter(BASELINES.get(name, name))
