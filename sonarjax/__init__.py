@@ -41,6 +41,7 @@ from sonarjax.render import (
 from sonarjax.scene import Mesh, Pose, objects, stack_meshes
 from sonarjax.segment import GeneratorWeights, Segmenter, load_segmenter, segment
 from sonarjax.sensor import SensorModel, observe
+from sonarjax.shape import SizeEstimate, SurfaceConfig, SurfaceEstimate, fit_size, fit_surface
 from sonarjax.sonar import FloorPatch, Sonar
 from sonarjax.track import Standing, Track, TrackConfig, Tracker, Turning, track
 
@@ -49,8 +50,9 @@ __version__ = "0.1.0"
 __all__ = [
     "Calibration", "Engine", "FloorPatch", "GeneratorWeights", "LeanSearchConfig", "Mesh", "Pose", "PoseEstimate",
     "PoseFinder", "Recognition", "Recognizer", "RefineConfig", "RenderQuality", "SearchConfig", "Segmenter",
-    "SensorModel", "Sonar", "SonarFrame", "SonarjaxError", "Standing", "TemplateBank", "Track", "TrackConfig",
-    "Tracker", "Turning", "Window", "WindowSize", "YawEstimate", "calibrate", "load_segmenter", "match_bank",
-    "match_positions", "objects", "observe", "plan_refinement", "plan_window", "recognize", "refine_pose",
-    "refine_yaw", "render", "segment", "stack_meshes", "template_bank", "track",
+    "SensorModel", "SizeEstimate", "Sonar", "SonarFrame", "SonarjaxError", "Standing", "SurfaceConfig",
+    "SurfaceEstimate", "TemplateBank", "Track", "TrackConfig", "Tracker", "Turning", "Window", "WindowSize",
+    "YawEstimate", "calibrate", "fit_size", "fit_surface", "load_segmenter", "match_bank", "match_positions",
+    "objects", "observe", "plan_refinement", "plan_window", "recognize", "refine_pose", "refine_yaw", "render",
+    "segment", "stack_meshes", "template_bank", "track",
 ]  # fmt: skip

@@ -13,8 +13,8 @@ import pytest
 
 PROJECT = Path(__file__).resolve().parent.parent
 STAGES = [
-    "io", "scene", "sonar", "render", "sensor", "data", "segment", "match", "refine", "calibrate", "recognize", "track",
-    "results", "plot", "cli",
+    "io", "scene", "sonar", "render", "sensor", "data", "segment", "match", "refine", "calibrate", "shape", "recognize",
+    "track", "results", "plot", "cli",
 ]  # fmt: skip
 BASE = {"records", "engine"}  # below everything: any file may import them, and they import no stage but io
 OUTSIDE = {"cpu", "__init__", "__main__"}  # beside the order; only the command line may import cpu

@@ -106,7 +106,7 @@ def calibrate(
     names = check_free(free)
     std = prior_std(names, prior, sonar)
     sonar = sonar.replace(geometry_std=None)
-    images, measured = _checked(frames, masks, sonar)
+    images, measured = check_frames(frames, masks, sonar)
     if poses is not None and poses.shape != (len(images),):
         raise SonarjaxError(f"poses: expected one for each of the {len(images)} frames, got shape {poses.shape}")
     made = segmenter if isinstance(segmenter, Segmenter) else load_segmenter(segmenter)
@@ -135,7 +135,11 @@ def calibrate(
     return _result(job, at, probability, used, first.change, coarse=False)
 
 
-def _checked(frames: Any, masks: Any, sonar: Sonar) -> tuple[list[np.ndarray], list[np.ndarray | None]]:
+def check_frames(frames: Any, masks: Any, sonar: Sonar) -> tuple[list[np.ndarray], list[np.ndarray | None]]:
+    """Frames and masks (range, beam) as lists, 0 where nothing was measured; a mask is None where all of it was.
+
+    Raises SonarjaxError as `calibrate` does.
+    """
     images = [np.asarray(image, np.float32) for image in frames]
     if not images:
         raise SonarjaxError("frames: expected at least one frame")

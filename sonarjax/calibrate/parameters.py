@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.refine.free import in_order
+from sonarjax.scene import Mesh
 from sonarjax.sonar import Sonar
 
 
@@ -39,6 +40,12 @@ PARAMETERS: dict[str, Parameter] = {
 """What may be free: `range_scale` stretches all ranges, as a wrong sound speed does, `azimuth_scale` all beam angles;
 `beam_bend` b moves a beam at the share u of the half field of view by b·(u − u³) of it."""
 
+SIZES: dict[str, Parameter] = {
+    name: Parameter(0.25, 0.08, "1") for name in ("object_length", "object_width", "object_height")
+}
+"""What may be free of the object instead, see `sonarjax.shape.fit_size`: its extents along x, y and z of its mesh, as
+the logarithm of their ratio to the mesh's own. The height grows from z = 0, where the object stands."""
+
 
 def check_free(free: Sequence[str]) -> tuple[str, ...]:
     """The names, in the order of `PARAMETERS`. Raises SonarjaxError for none, an unknown name, or one given twice."""
@@ -57,7 +64,7 @@ def prior_std(free: Sequence[str], prior: Mapping[str, float] | None, sonar: Son
         if not (math.isfinite(value) and value > 0):
             raise SonarjaxError(f"prior: {name}: expected a positive standard deviation, got {value}")
     stated = {} if sonar.geometry_std is None else vars(sonar.geometry_std)
-    known = {name: float(stated.get(name, 0.0)) or PARAMETERS[name].std for name in free} | given
+    known = {name: float(stated.get(name, 0.0)) or (PARAMETERS | SIZES)[name].std for name in free} | given
     return np.array([known[name] for name in free], float)
 
 
@@ -79,3 +86,12 @@ def changed_sonar(sonar: Sonar, free: Sequence[str], change: Float[Array, "free"
         bent = azimuth + by.get("beam_bend", 0.0) * half * (share - share**3)
         fields["azimuth"] = bent * (1 + by.get("azimuth_scale", 0.0))
     return sonar.replace(**fields)
+
+
+def changed_mesh(mesh: Mesh, free: Sequence[str], change: Float[Array, "free"]) -> Mesh:
+    """The mesh with each of the `SIZES` among `free` changed by `change` (free,); differentiable."""
+    if not any(name in SIZES for name in free):
+        return mesh
+    by = {name: change[k] for k, name in enumerate(free)}
+    grown = jnp.exp(jnp.stack([jnp.asarray(by.get(name, 0.0), jnp.float32) for name in SIZES]))
+    return mesh.with_vertices(jnp.asarray(mesh.vertices) * grown)

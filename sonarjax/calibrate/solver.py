@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sonarjax.calibrate.look import LOOK, LOOK_STD, LOOK_TRUST, Look
-from sonarjax.calibrate.parameters import PARAMETERS, changed_sonar
+from sonarjax.calibrate.parameters import PARAMETERS, SIZES, changed_mesh, changed_sonar
 from sonarjax.calibrate.picture import Sampling, fitted, measured_mean, object_layers, picture
 from sonarjax.records import record
 from sonarjax.refine.template import POSE
@@ -98,7 +98,7 @@ def make_prior(free: Sequence[str], std: np.ndarray, fixed: Sequence[str] = ()) 
     return Prior(
         mean=np.concatenate([np.zeros(len(free)), LOOK]),
         std=np.concatenate([std, LOOK_STD]),
-        trust=np.concatenate([[PARAMETERS[name].trust for name in free], LOOK_TRUST]),
+        trust=np.concatenate([[(PARAMETERS | SIZES)[name].trust for name in free], LOOK_TRUST]),
         fixed=np.array([name in fixed for name in free] + [False] * LOOKS),
     )
 
@@ -133,8 +133,9 @@ def linearise(
     count = len(free)
 
     def layers_at(geometry: Array) -> Array:
-        changed = changed_sonar(sonar, free, geometry[POSE:-1])
-        return object_layers(mesh, changed, seen.start, geometry[:POSE], geometry[-1], seen.column, size)
+        change, path = geometry[POSE:-1], geometry[-1]
+        grown, changed = changed_mesh(mesh, free, change), changed_sonar(sonar, free, change)
+        return object_layers(grown, changed, seen.start, geometry[:POSE], path, seen.column, size)
 
     path = count + Look._fields.index("floor_path")
     geometry = jnp.concatenate([own[:POSE], shared[:count], shared[path][None]])

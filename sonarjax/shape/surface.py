@@ -1,0 +1,237 @@
+"""`fit_surface`: all vertices of a smooth body from posed frames of it (beyond the paper).
+
+1 − NCC of the rendered echo and each frame is lowered by Adam with the gradient by every vertex. Steps are smoothed by
+(I + λL)⁻¹, L the mesh's Laplacian, so that neighbours move together (Nicolet, Jacobson and Jakob, Large Steps in
+Inverse Rendering of Geometry, ACM Trans. Graph. 40, 2021), and a prior keeps the displacement smooth.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jaxtyping import Array, Float
+
+from sonarjax.calibrate.calibration import check_frames
+from sonarjax.calibrate.solver import BOUNCE
+from sonarjax.engine import PLAIN, Engine
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.refine.objective import Problem, box_around, make_blur, misfit
+from sonarjax.refine.solver import Search, best_template
+from sonarjax.refine.template import VIEWS, EchoLaw, Subject, nominal_law, render_layers, semantic_template
+from sonarjax.render import RenderQuality, WindowSize, place_window, plan_window
+from sonarjax.scene import Mesh, Pose
+from sonarjax.shape.size import starts_of
+from sonarjax.sonar import Sonar
+
+MARGIN = (48, 12)
+"""Range bins and beams around the first mesh's picture that count: where the body may be found."""
+SLACK_M = 0.05
+"""Room around the first mesh in its window [m]."""
+ROOM = 2
+"""How many times the triangles of the first mesh there is room for in a slice: bent surfaces cross it more often."""
+MOST_VERTICES = 2000
+"""The smoothing is a dense matrix: larger meshes are to be made coarser first."""
+
+
+@dataclass(frozen=True)
+class SurfaceConfig:
+    """How `fit_surface` searches."""
+
+    blurs: tuple[float, ...] = (6.0, 3.0, 1.5)
+    """Standard deviations of the blur in range bins, coarse to fine."""
+    iterations: int = 40
+    """Steps at each blur."""
+    step_m: float = 1.5e-3
+    """Largest first step of a vertex [m]; it falls to a fifth within each blur."""
+    smoothing: float = 12.0
+    """λ of the smoothed steps [1]: neighbours over some √λ edges move together."""
+    prior: float = 20.0
+    """Weight of the mean square of the displacement's Laplacian, in units of the body's radius [1]."""
+
+    def __post_init__(self) -> None:
+        """Raises SonarjaxError for numbers that no search can have."""
+        numbers = (*self.blurs, self.step_m)
+        if not self.blurs or not all(0 < v < math.inf for v in numbers) or self.iterations < 1:
+            raise SonarjaxError("SurfaceConfig: expected blurs, step_m and iterations above 0")
+        if not (0 <= self.smoothing < math.inf and 0 <= self.prior < math.inf):
+            raise SonarjaxError("SurfaceConfig: expected smoothing and prior of 0 or more")
+
+
+@dataclass(frozen=True)
+class SurfaceEstimate:
+    """What `fit_surface` found."""
+
+    mesh: Mesh
+    """The same triangles with the vertices where the frames have them."""
+    score: np.ndarray
+    """Mean NCC of template and frame over all frames (step + 1,), blurred as in that step, from the first mesh on."""
+    scores: np.ndarray
+    """The last NCC of each frame (frame,)."""
+    moved: np.ndarray
+    """How far each vertex went [m] (vertex,). No frame shows the underside: there the prior alone decides."""
+
+
+class _Frame(NamedTuple):
+    """A frame ready for comparison; numbers only, so that all frames share compiled code."""
+
+    image: Any
+    mask: Any
+    pose: Pose
+    law: tuple[Any, ...]
+    weight: Any
+
+
+def fit_surface(
+    frames: Any,
+    mesh: Mesh,
+    sonar: Sonar,
+    poses: Pose,
+    *,
+    config: SurfaceConfig = SurfaceConfig(),
+    masks: Any = None,
+    engine: Engine = PLAIN,
+    progress: Callable[[str], None] = lambda text: None,
+) -> SurfaceEstimate:
+    """The surface of a smooth body that `frames` (frame, range, beam) show at known `poses` (frame,).
+
+    `mesh` is a first guess with the triangles to be bent, a ball of the body's size for one, of 2,000 vertices or
+    fewer. Assumes a flat floor, a known sonar and a body without sharp edges that stays above the floor (z ≥ 0 in the
+    mesh's frame). What no frame shows is bent along with what they show, smoothly.
+
+    `masks` (frame, range, beam) are true where pixels were measured; `progress` is told what is being done.
+
+    Raises SonarjaxError for no frames, shapes that do not fit the sonar, frames that are all alike, values that are not
+    finite, poses of another number or with the body out of view, and a mesh with too many vertices.
+    """
+    images, measured = check_frames(frames, masks, sonar)
+    starts = starts_of(poses, len(images), sonar)
+    vertices = np.asarray(mesh.vertices, np.float64)
+    if len(vertices) > MOST_VERTICES:
+        raise SonarjaxError(f"mesh: expected {MOST_VERTICES} vertices or fewer, got {len(vertices)}")
+    sonar = sonar.replace(geometry_std=None)
+    mesh = mesh.with_room(ROOM * mesh.crossings, mesh.n_faces)
+    size = _window(mesh, sonar, starts)
+    prepared = [
+        _Frame(image, np.ones(sonar.shape, np.float32) if mask is None else mask.astype(np.float32), start, (), None)
+        for image, mask, start in zip(images, measured, starts, strict=True)
+    ]
+    prepared = engine.map(partial(_begun, engine, mesh, sonar, size), prepared)
+
+    def evaluate(positions: np.ndarray, sigma: float) -> tuple[np.ndarray, np.ndarray]:
+        given = positions.astype(np.float32)
+
+        def one(frame: _Frame) -> Any:
+            return engine.run(_by_vertices, *frame, mesh, sonar, given, np.float32(sigma), size=size)
+
+        costs, slopes = zip(*engine.map(one, prepared), strict=True)
+        return np.array([float(c) for c in costs]), np.sum([np.asarray(s, float) for s in slopes], axis=0)
+
+    found, scores, last = _descend(evaluate, vertices, np.asarray(mesh.faces), config, progress)
+    return SurfaceEstimate(
+        mesh=mesh.with_vertices(jnp.asarray(found, jnp.float32)),
+        score=scores,
+        scores=last,
+        moved=np.linalg.norm(found - vertices, axis=1),
+    )
+
+
+def _window(mesh: Mesh, sonar: Sonar, starts: Sequence[Pose]) -> WindowSize:
+    """One window for all frames, a little wider than the first mesh needs."""
+    planned = [plan_window(mesh, sonar, float(np.hypot(s.x, s.y)), SLACK_M) for s in starts]
+    shape = tuple(max(p.shape[axis] for p in planned) for axis in (0, 1))
+    return WindowSize((shape[0], shape[1]), shape[1])
+
+
+def _descend(
+    evaluate: Callable[[np.ndarray, float], tuple[np.ndarray, np.ndarray]], begin: np.ndarray, faces: np.ndarray,
+    config: SurfaceConfig, progress: Callable[[str], None],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+    """Adam over smoothed displacements: the vertices (vertex, 3), each step's mean score, each frame's last one."""
+    laplacian = uniform_laplacian(faces, len(begin))
+    smooth = np.linalg.inv(np.eye(len(begin)) + config.smoothing * laplacian)
+    radius = max(float(np.abs(begin - begin.mean(axis=0)).max()), 1e-6)
+    point, scores, costs = begin.copy(), [], np.zeros(0)
+    for sigma in config.blurs:
+        schedule = optax.cosine_decay_schedule(config.step_m, config.iterations, alpha=0.2)
+        adam = optax.scale_by_adam(b1=0.9, b2=0.98)
+        state = adam.init(jnp.asarray(point, jnp.float32))
+        for number in range(config.iterations):
+            costs, slope = evaluate(point, sigma)
+            scores.append(1 - costs.mean())
+            bent = laplacian @ (point - begin)
+            slope = slope / len(costs) + 2 * config.prior / radius**2 * laplacian.T @ bent / len(begin)
+            step, state = adam.update(jnp.asarray(smooth @ slope, jnp.float32), state)
+            # One length for all vertices: scaled one by one, those that nothing is known of would go as far.
+            along = smooth @ np.asarray(step, np.float64)
+            along *= float(schedule(number)) / max(np.linalg.norm(along, axis=1).max(), 1e-12)
+            point = point - along
+            point[:, 2] = np.maximum(point[:, 2], 0.0)
+        progress(f"fitted, blurred by {sigma:g} range bins: NCC {scores[-1]:.3f}")
+    costs, _ = evaluate(point, config.blurs[-1])
+    return point, np.array([*scores, 1 - costs.mean()]), 1 - costs
+
+
+def uniform_laplacian(faces: np.ndarray, count: int) -> Float[np.ndarray, "vertex vertex"]:
+    """The mesh's Laplacian (vertex, vertex) of equal weights: each vertex less the mean of its neighbours.
+
+    Vertices without a triangle, such as padding, have a row of zeros.
+    """
+    near = np.zeros((count, count))
+    for a, b in ((0, 1), (1, 2), (2, 0)):
+        near[faces[:, a], faces[:, b]] = near[faces[:, b], faces[:, a]] = 1.0
+    np.fill_diagonal(near, 0.0)
+    neighbours = near.sum(axis=1, keepdims=True)
+    return np.diag((neighbours[:, 0] > 0).astype(float)) - near / np.maximum(neighbours, 1.0)
+
+
+def _begun(engine: Engine, mesh: Mesh, sonar: Sonar, size: WindowSize, frame: _Frame) -> _Frame:
+    """The frame with the echo's law that fits the first mesh best, and with what counts of its window."""
+    *law, weight = engine.run(_chosen, frame.image, frame.mask, frame.pose, mesh, sonar, size=size)
+    return frame._replace(law=tuple(np.asarray(v) for v in law), weight=np.asarray(weight))
+
+
+def _problem(
+    image: Array, mask: Array, pose: Pose, law: EchoLaw, mesh: Mesh, sonar: Sonar, first: Mesh, size: WindowSize
+) -> Problem:
+    """The comparison in the window around the `first` mesh."""
+    window = place_window(size, first, sonar, pose.x, pose.y, SLACK_M)
+    part, measured = (jax.lax.dynamic_slice(v, (window.row, window.column), size.shape) for v in (image, mask))
+    echo, quality = jnp.int32(VIEWS["echo"]), RenderQuality(sub_beams=1)
+    subject = Subject(mesh, sonar, pose, window, jnp.float32(0), echo, law, quality, ())
+    return Problem(part, measured, subject, jnp.array(MARGIN))
+
+
+@partial(jax.jit, static_argnames="size")
+def _chosen(image: Array, mask: Array, pose: Pose, mesh: Mesh, sonar: Sonar, *, size: WindowSize) -> tuple[Array, ...]:
+    """The numbers of the echo's law that fits best, and 1 where a pixel of the window counts (range, beam)."""
+    problem = _problem(image, mask, pose, nominal_law(), mesh, sonar, mesh, size)
+    layers = render_layers(problem.subject, jnp.zeros(0))
+    nothing = jnp.zeros(())
+    search = Search(nothing, nothing, nothing, nothing, problem.margin)
+    _, law = best_template(problem, layers, search)
+    return law.gain, law.noise, law.exponent, problem.weight * box_around(semantic_template(layers), problem.margin)
+
+
+@partial(jax.jit, static_argnames="size")
+def _by_vertices(
+    image: Array, mask: Array, pose: Pose, law: tuple[Array, ...], weight: Array, mesh: Mesh, sonar: Sonar,
+    vertices: Array, sigma: Array, *, size: WindowSize,
+) -> tuple[Array, Array]:  # fmt: skip
+    """1 − NCC of the blurred template and frame, and its gradient by the vertices (vertex, 3)."""
+    blur, bounce = make_blur((size.shape[0], size.shape[1]), sigma), jnp.full(1, BOUNCE)
+
+    def cost(positions: Array) -> Array:
+        bent = mesh.with_vertices(positions)
+        problem = _problem(image, mask, pose, EchoLaw(*law), bent, sonar, mesh, size)
+        return misfit(problem._replace(weight=weight), blur, bounce, reverse=True)
+
+    value, slope = jax.value_and_grad(cost)(vertices)
+    return value, jnp.nan_to_num(slope)
