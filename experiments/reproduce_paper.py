@@ -193,11 +193,12 @@ def in_training() -> list[dict[str, Any]]:
         return []
     full = find_recipe("paper").networks.width
     projected = cost["hours"] * (full / cost["width"]) ** 2
-    rate = f"{cost['images_per_s']:.0f} images a second"
+    where = cost["device"]
+    measured = f"measured on {where}, {cost['images_per_s']:.0f} images a second"
     lines: list[tuple[str, str, float | None, float, str]] = [
-        ("§3.2", f"training at width {cost['width']} [h]", None, cost["hours"], f"measured on {cost['device']}, {rate}"),
+        ("§3.2", f"training at width {cost['width']} [h]", None, cost["hours"], measured),
         ("§3.2", f"training at width {full} [h]", paper.TRAINING_HOURS, projected,
-         f"projected for {cost['device']}, not run; the paper's on a Titan V"),
+         f"projected for {where}, not run; the paper's on a Titan V"),
     ]  # fmt: skip
     return [dict(zip(BESIDE, line, strict=True)) for line in lines]
 

@@ -1,9 +1,6 @@
-"""The paper's own recipe in the experiments: its training goes on, its cost is told, its frames stand in Table 1's tank."""
+"""The paper's own recipe in experiments: its training goes on, its cost is told, and frames stand in Table 1's tank."""
 
 from __future__ import annotations
-
-import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
