@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 
 import sonarjax as sj
-from experiments import ablate_geometry, ablate_sensor, ablate_template, ablate_yaw_bin
+from experiments import ablate_geometry, ablate_sensor, ablate_template, ablate_training, ablate_yaw_bin
 from experiments.ablate_geometry import Error, bank_with
 from experiments.ablate_sensor import EVERYTHING, NOTHING, PARTS, without
 from experiments.ablate_template import judged_at_place, only, scores_at_place
 from experiments.ablate_yaw_bin import floor_deg
 from experiments.common.frames import GROUND_RANGE_M, TestFrame
 from experiments.common.metrics import summary_deg
+from sonarjax.segment.training import find_recipe
 from sonarjax.sensor import SensorModel
 
 
@@ -119,3 +120,33 @@ def test_a_table_has_a_column_for_each_head(experiment):
     values = {name: 0.5 for name in experiment.HEADS}
     lines = experiment.table({"rows": [values]}).splitlines()
     assert len(lines) == 3 and lines[0].count("|") == len(experiment.HEADS) + 1 == lines[2].count("|")
+
+
+@pytest.mark.parametrize("variant", ablate_training.VARIANTS)
+def test_trainings_are_a_third_of_the_papers_and_differ_in_one_thing(variant, tmp_path):
+    paper, settings = find_recipe("paper-cpu"), ablate_training.Settings()
+    recipe = ablate_training.recipe_of(variant, settings, 2, tmp_path).checked()
+    assert 3 * recipe.steps == paper.steps and (recipe.batch, recipe.pairs) == (paper.batch, paper.pairs)
+    usual = {"name": paper.name, "run_seed": 0, "passes": paper.passes, "source": None, "discriminative": False}
+    assert replace(recipe, networks=paper.networks, **usual) == paper
+    changed = {
+        f.name for f in fields(paper.networks) if getattr(recipe.networks, f.name) != getattr(paper.networks, f.name)
+    }
+    assert changed == set(ablate_training.VARIANTS[variant])
+    assert recipe.discriminative == (variant == ablate_training.ALONE)
+
+
+@pytest.mark.parametrize(("variant", "pairs", "passes", "sets"), [
+    ("a quarter of the pairs", 2, 8, 1), ("eq. 3", 8, 2, 1), ("four times the pairs", 8, 1, 4),
+])  # fmt: skip
+def test_more_or_fewer_pairs_are_seen_as_often_in_all(variant, pairs, passes, sets, tmp_path):
+    settings = ablate_training.Settings(pairs=8, images=16 if variant != "four times the pairs" else 32, batch=2)
+    recipe = ablate_training.recipe_of(variant, settings, 0, tmp_path)
+    assert (recipe.pairs, recipe.passes, recipe.sets) == (pairs, passes, sets)
+    assert recipe.source == (None if sets > 1 else str(tmp_path))
+    assert recipe.steps * recipe.batch == settings.images
+
+
+def test_an_unknown_variant_is_refused():
+    with pytest.raises(ValueError, match="got 'eq. 4'"):
+        ablate_training.Settings(variants=("eq. 3", "eq. 4"))
