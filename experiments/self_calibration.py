@@ -45,9 +45,11 @@ SHOWN = {"tilt": ("tilt [°]", 180 / math.pi), "height": ("height [cm]", 100.0),
          "range_scale": ("range scale [%]", 100.0), "azimuth_scale": ("azimuth scale [%]", 100.0)}  # fmt: skip
 """How each number is called in a table, and in which unit."""
 HEADS = {"name": "sonars", "count": "count", "number": "number", "median": "median error", "p90": "90 %",
-         "within_1": "within 1 std", "determined": "determined"}  # fmt: skip
-SET_HEADS = {"name": "set", "geometry": "geometry", "tilt": "tilt, error [°]", "tilt_std": "its std",
-             "height": "height, error [cm]", "height_std": "its std ", "right": "other half right"}  # fmt: skip
+         "within_1": "within 1 std", "bound": "Cramér-Rao bound, median", "determined": "determined"}  # fmt: skip
+SET_HEADS = {"name": "set", "geometry": "geometry",
+             "tilt": "tilt, error [°]", "tilt_std": "its std", "tilt_bound": "bound",
+             "height": "height, error [cm]", "height_std": "its std ", "height_bound": "bound ",
+             "right": "other half right"}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -94,6 +96,7 @@ def _drawn(settings: Settings, seed: int, number: int) -> dict[str, Any]:
     return {
         "error": dict(zip(FREE, (found.change - off).tolist(), strict=True)),
         "std": found.std,
+        "bound": found.bound,
         "determined": found.determined,
         "used": int(found.used.sum()),
         "seconds": time.perf_counter() - begun,
@@ -130,6 +133,7 @@ def _summary(found: Sequence[dict[str, Any]], name: str) -> dict[str, Any]:
     return {
         "name": "drawn", "count": len(found), "number": title, "median": float(np.median(error)),
         "p90": float(np.percentile(error, 90)), "within_1": float((error <= std).mean()),
+        "bound": unit * float(np.median([one["bound"][name] for one in found])),
         "determined": float(np.mean([one["determined"][name] for one in found])),
     }  # fmt: skip
 
@@ -153,6 +157,7 @@ def _external(folder: Path, name: str, settings: Settings) -> list[dict[str, Any
         row["height"] = 100 * (float(sonar.height) - float(true.height))
         if geometry == "fitted":
             row |= {"tilt_std": math.degrees(found.std["tilt"]), "height_std": 100 * found.std["height"]}
+            row |= {"tilt_bound": math.degrees(found.bound["tilt"]), "height_bound": 100 * found.bound["height"]}
         rows.append(row)
     return rows
 

@@ -59,6 +59,10 @@ class Calibration:
     """Of the frames' information about the free numbers, in units of their priors (free,), largest first."""
     weakest: dict[str, float]
     """The combination of free numbers, each in units of its prior, that the frames tell least about."""
+    bound: dict[str, float]
+    """Cramér-Rao bound of each free number with its prior (van Trees, Detection, Estimation, and Modulation Theory,
+    1968, sec. 2.4): the standard deviation that no estimator can go below, if the picture is right and residuals are
+    normal, as large and as correlated as they were found to be."""
     used: np.ndarray
     """Which frames (frame,) were fitted; in the others the target was not found."""
     probability: np.ndarray
@@ -220,6 +224,7 @@ def _as_calibration(
         determined=known.determined,
         singular_values=known.singular_values,
         weakest=known.weakest,
+        bound=dict(zip(job.free, known.bound.tolist(), strict=True)),
         used=used,
         probability=probability,
         residual=residual,

@@ -25,6 +25,8 @@ class Certainty(NamedTuple):
     """Of the frames' information in units of the priors (free,), largest first."""
     weakest: dict[str, float]
     """The direction of the least of them, in units of the priors."""
+    bound: np.ndarray
+    """Least standard deviation (free,) that an estimator can have: see `Calibration.bound`."""
 
 
 def certainty(information: np.ndarray, scores: np.ndarray, std: np.ndarray, free: Sequence[str]) -> Certainty:
@@ -51,6 +53,7 @@ def certainty(information: np.ndarray, scores: np.ndarray, std: np.ndarray, free
         determined={name: bool(share <= OBSERVABLE) for name, share in zip(free, left, strict=True)},
         singular_values=np.sqrt(np.maximum(values[::-1], 0.0)),
         weakest=dict(zip(free, directions[:, 0].tolist(), strict=True)),
+        bound=np.sqrt(np.diag(inverse)[:count]),
     )
 
 

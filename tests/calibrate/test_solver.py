@@ -99,6 +99,7 @@ def test_covariance_of_independent_numbers() -> None:
     information = np.diag([4 / STD[0] ** 2, 0.01 / STD[1] ** 2, *np.ones(LOOKS)])
     known = certainty(information, agreeing(information), STD, FREE)
     np.testing.assert_allclose(np.sqrt(np.diag(known.covariance)) / STD, [5**-0.5, 1.01**-0.5])
+    np.testing.assert_allclose(known.bound / STD, [5**-0.5, 1.01**-0.5])
     assert known.determined == {"tilt": True, "height": False}
     np.testing.assert_allclose(known.singular_values, [2.0, 0.1])
     assert abs(known.weakest["height"]) == pytest.approx(1.0)
@@ -120,6 +121,7 @@ def test_frames_that_disagree_widen_the_covariance() -> None:
     own = rng.normal(size=(frames, SHARED)) * np.array([3.0, 0.5, *np.ones(LOOKS)])
     known = certainty(frames * information, own @ information, np.array([1e3, 1e3]), FREE)
     np.testing.assert_allclose(np.sqrt(np.diag(known.covariance) * frames), [3.0, 0.5], rtol=0.05)
+    np.testing.assert_allclose(known.bound * np.sqrt(frames), [2**-0.5, 5**-0.5], rtol=1e-3)  # whatever they disagree
 
 
 def test_pixels_that_err_together_are_counted_once() -> None:
