@@ -27,8 +27,8 @@ def cells(path: Path, kind: str) -> list[dict[str, Any]]:
     return [cell for cell in content(path)["cells"] if cell["cell_type"] == kind]
 
 
-def test_there_are_seven_in_order() -> None:
-    assert [path.name[:3] for path in NOTEBOOKS] == [f"{n:02d}_" for n in range(1, 8)]
+def test_there_are_eight_in_order() -> None:
+    assert [path.name[:3] for path in NOTEBOOKS] == [f"{n:02d}_" for n in range(1, 9)]
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)

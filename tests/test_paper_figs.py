@@ -22,6 +22,7 @@ from paper_figs import baseline, index, readme, report, style
 from paper_figs.__main__ import main
 from paper_figs.shared import load
 from sonarjax.io import SonarjaxError, write_npz
+from sonarjax.scene import objects
 
 PROJECT = Path(__file__).resolve().parent.parent
 SHAPE = (512, 96)
@@ -195,6 +196,15 @@ def make_tracks(runs: Path, rng: np.random.Generator) -> None:
     finish(runs, "track_views", report, real={name: rng.uniform(-90, 90, 5) for name in ("alone", "smoothed")})
 
 
+def make_shapes(runs: Path, rng: np.random.Generator) -> None:
+    sides = [row(rng, "median", frames_of="our simulator", side=side) for side in ("length", "width", "height")]
+    bodies = [row(rng, "chamfer_mm", body="1", when=when) for when in ("a ball", "fitted")]
+    vertices, faces = objects.sphere_arrays(0.1, rings=5, sectors=8)
+    body = {f"{n}_{f}": v for n in ("first", "found", "true") for f, v in (("vertices", vertices), ("faces", faces))}
+    report = {"bricks": sides, "bodies": bodies, "brick_s": 10.0, "range_bin_mm": 5.0}
+    finish(runs, "shape_from_frames", report, body_0=body | {"score": rng.random(7)})
+
+
 def make_thresholds(runs: Path, rng: np.random.Generator, preset: str = "full") -> None:
     rows = [row(rng, *fit_threshold.HEADS, segmenter="pix2pix", threshold=0.7654)]
     finish(runs, "fit_threshold", {"rows": rows}, preset=preset)
@@ -213,6 +223,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
         make_turntable,
         make_poses,
         make_tracks,
+        make_shapes,
     ):
         make(folder, rng)
     return folder
