@@ -17,12 +17,16 @@ from typing import Any, Literal
 
 import jax
 
+from experiments.common.engine import engine
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns
 from experiments.common.runs import Job, code_digest
 from experiments.train_discriminative import train_to_the_end
 from sonarjax.io.safetensors import read_safetensors, write_safetensors
-from sonarjax.segment.training import find_recipe
+from sonarjax.segment.training import Recipe, find_recipe
+from sonarjax.segment.training.batches import Batches
+from sonarjax.segment.training.evaluate import predict_all, score
+from sonarjax.segment.weights import load_generator
 
 HEADS = {
     "when": "after",
@@ -50,7 +54,7 @@ class Settings:
 
 
 def run(settings: Settings, job: Job) -> Report:
-    """Validation metrics of the best and of the last epoch, all of them as curves, and how fast it was."""
+    """Metrics of the best and of the last epoch, those of all epochs, and how fast it was."""
     recipe = replace(find_recipe(settings.recipe), run_seed=job.seed)
     if settings.small:
         recipe = replace(recipe, networks=replace(recipe.networks, width=4, discriminator_width=4), **SMALL)
@@ -63,12 +67,14 @@ def run(settings: Settings, job: Job) -> Report:
     best = max(epochs, key=lambda epoch: epoch["iou_mean"])
     cost = {"hours": images * len(epochs) / rate / 3600, "images_per_s": rate, "width": recipe.networks.width}
     cost["device"] = f"{os.cpu_count()} cores" if jax.default_backend() == "cpu" else jax.devices()[0].device_kind
+    assert result.weights is not None
+    known = {"when": "that one, on pairs it was trained on", "epoch": epochs[-1]["epoch"]}
+    known |= _on_training_pairs(recipe, result.weights)
     if settings.into:
-        assert result.weights is not None
         arrays, about = read_safetensors(result.weights)
         write_safetensors(settings.into, arrays, about | {"cost": cost})
     return {
-        "rows": [{"when": "the best epoch", **best}, {"when": "the last epoch", **epochs[-1]}],
+        "rows": [{"when": "the best epoch", **best}, {"when": "the last epoch", **epochs[-1]}, known],
         "epochs": epochs,
         "images": images * len(epochs),
         **cost,
@@ -85,8 +91,17 @@ def _epochs(folder: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in lines]
 
 
+def _on_training_pairs(recipe: Recipe, weights: Path) -> dict[str, float]:
+    """The metrics on the first training pairs, as many as validate: how much of them was learnt by heart."""
+    count = recipe.validation_pairs
+    first = replace(recipe, pairs=count, batch=count, passes=1, mirrored=0.0, plain=0.0)
+    with Batches(first, engine()) as batches:
+        pairs = batches.batch(0)
+    return score(predict_all(recipe.networks, load_generator(weights).variables, pairs), pairs)
+
+
 def table(report: Report) -> str:
-    """The two epochs, and the cost."""
+    """The two epochs, the last also on training pairs, and the cost."""
     rows = columns([row | {"epoch": f"{row['epoch']:.0f}"} for row in report["rows"]], HEADS)
     cost = f"{report['images']:.0f} images in {report['hours']:.2f} h, {report['images_per_s']:.0f} a second"
     return f"{rows}\n\nwidth {report['width']:.0f} on {report['device']}: {cost}"
