@@ -65,7 +65,7 @@ def _bricks(*parts: tuple[float, float, float, float, int]) -> sj.Mesh:
     boxes = []
     for x, y, z, yaw, posture in parts:
         size = tuple(BRICK_M[k] for k in sides[posture])
-        boxes.append(box(size, (x, y, z + size[2] / 2), math.radians(yaw)))
+        boxes.append(box(size, (float(x), float(y), z + size[2] / 2), math.radians(yaw)))
     return sj.Mesh.from_arrays(*join(*boxes), name="pile")
 
 

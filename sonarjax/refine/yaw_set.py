@@ -61,7 +61,7 @@ class YawWeights(NamedTuple):
     """Factor on their standard deviations [1]."""
 
 
-YAW_WEIGHTS = YawWeights(softness=0.01, slope=0.5, unrefined=0.0, tail=0.2, tail_scale=3.0)
+YAW_WEIGHTS = YawWeights(softness=0.02, slope=0.3, unrefined=0.02, tail=0.0, tail_scale=2.0)
 """Fitted to validation frames, whose devices and objects are in no test (experiments/fit_yaw_set.py)."""
 
 
