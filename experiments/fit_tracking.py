@@ -30,8 +30,8 @@ from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns
 from experiments.common.runs import Job
 from experiments.common.sequences import TILT_DEG, recognized, taken_up, truths
-from experiments.common.validation import BRICK_M, SEVERITIES, scenes
-from sonarjax.scene.objects import box, join
+from experiments.common.symmetric_frames import two_fold_pile
+from experiments.common.validation import SEVERITIES, scenes
 from sonarjax.track import Standing, TrackConfig, Turning, measurement_of, nothing_known, numbers_of, run_filter
 
 WIDE = 0.6
@@ -105,14 +105,6 @@ def _drawn(number: int, turns: bool, frames: int, root: jax.Array) -> list[Any]:
     if turns:
         poses = turned(device, 3 * frames, key=jax.random.fold_in(key, 9))
     return recognized(device, recognizer, poses, key=key)
-
-
-def two_fold_pile() -> sj.Mesh:
-    """Two of the validation's bricks side by side, shifted, and a third across: the same after half a turn."""
-    length, width, height = BRICK_M
-    beside = [box(BRICK_M, (side * 0.04, side * (width / 2 + 0.003), height / 2)) for side in (-1, 1)]
-    across = box((length, width, height), (0.0, 0.0, 1.5 * height), math.radians(50))
-    return sj.Mesh.from_arrays(*join(*beside, across), name="two-fold pile")
 
 
 def turned(device: DrawnDevice, frames: int, *, key: jax.Array) -> list[sj.Pose]:

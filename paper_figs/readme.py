@@ -23,7 +23,7 @@ from sonarjax.io import SonarjaxError, write_text
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
 KEPT = ROOT / "docs" / "results"
 """Folder of the results behind the tables, a file for each experiment: a list of reports, one for each seed."""
-LEFT_OUT = ("per_frame", "sheets")
+LEFT_OUT = ("per_frame", "sheets", "told")
 """Parts of reports that no table shows, and that are large."""
 BEGIN = re.compile(r"^<!-- (\w+):begin -->$", re.MULTILINE)
 

@@ -18,15 +18,19 @@ from sonarjax.match import SearchConfig, TargetSearch
 from sonarjax.refine import (
     ERROR_BAR,
     MAP_REFINEMENT,
+    SAME_YAW,
+    YAW_WEIGHTS,
     Candidate,
     Evidence,
     RefineConfig,
     Start,
     YawEstimate,
+    YawSet,
     curve_evidence,
     is_kept,
     locate,
     make_starts,
+    make_yaw_set,
     on_frame,
     peak_bins,
     plan_refinement,
@@ -41,7 +45,6 @@ from sonarjax.sonar import Sonar
 
 NEARER = 0.15
 """Share of the distances that are nearer than the one that the refinement's usual window is planned for."""
-SAME_YAW = math.radians(8.0)  # refined hypotheses closer than this are one
 GIVEN = "given"
 
 
@@ -110,6 +113,21 @@ class Recognition:
     evidence: Mapping[str, float] | None = field(default=None, repr=False)
     """What the rule weighs, by the names of `segment.EVIDENCE`, and `curvature_std`, the yaw's standard deviation [rad]
     as `refine_yaw` gives it; None without refinement."""
+
+    @property
+    def yaw_set(self) -> YawSet | None:
+        """All yaws that the frame allows, with weights: its hypotheses and the bank's other peaks; None unrefined.
+
+        The weights are for the case that the frame shows the target, and come from validation frames
+        (experiments/fit_yaw_set.py); `yaw_set.intervals(0.95)` is the set of disjoint intervals that holds 95 %.
+        """
+        stds = [one.yaw_std for one in self.hypotheses if one.yaw_std is not None]
+        if len(stds) < len(self.hypotheses):
+            return None
+        count = len(self.scores_by_yaw)
+        bins = (np.arange(count) - int(self.scores_by_yaw.argmax())) * (2 * math.pi / count)
+        yaws, scores = [one.yaw for one in self.hypotheses], [one.score for one in self.hypotheses]
+        return make_yaw_set(yaws, stds, scores, self.scores_by_yaw, self.yaw_bin + bins, YAW_WEIGHTS)
 
 
 class Recognizer:

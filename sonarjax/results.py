@@ -6,10 +6,15 @@ import math
 from typing import Any
 
 from sonarjax.recognize import Recognition
+from sonarjax.refine import YawMode, YawSet
 from sonarjax.track.sequence import Tracked
 
 SCHEMA = 2
 """Of a line of results: 2 has `converged`, `target`, `runner_up` and `margin`."""
+
+
+COVERAGES = {"within_68": 0.68, "within_95": 0.95}
+"""Shares of the sets of yaw intervals that a line holds, by their names there."""
 
 
 def record_of(result: Recognition, frame: str, seconds: float, tracked: Tracked | None = None) -> dict[str, Any]:
@@ -44,6 +49,7 @@ def record_of(result: Recognition, frame: str, seconds: float, tracked: Tracked 
         "y_m": result.y,
         "scores_by_yaw": [float(score) for score in result.scores_by_yaw],
         "hypotheses": hypotheses,
+        "yaw_set": None if result.yaw_set is None else _yaws(result.yaw_set),
         "segmenter": result.segmenter,
         "seconds": seconds,
         "schema": SCHEMA,
@@ -51,9 +57,27 @@ def record_of(result: Recognition, frame: str, seconds: float, tracked: Tracked 
     return record if tracked is None else record | _believed(tracked, record["yaw_deg"])
 
 
+def _yaws(allowed: YawSet) -> dict[str, Any]:
+    """Modes of a set of yaws, and its disjoint intervals of each coverage: [low, high) in degrees, and their weight."""
+    found: dict[str, Any] = {
+        "modes": [
+            {"yaw_deg": math.degrees(one.yaw), "yaw_std_deg": math.degrees(one.yaw_std), "weight": one.weight}
+            for one in allowed.modes
+        ]
+    }
+    for name, coverage in COVERAGES.items():
+        found[name] = [
+            {"low_deg": math.degrees(one.low), "high_deg": math.degrees(one.high), "weight": one.weight}
+            for one in allowed.intervals(coverage)
+        ]
+    return found
+
+
 def _believed(tracked: Tracked, frame_yaw_deg: float | None) -> dict[str, Any]:
     """What a line says of a belief, in place of what the frame alone says: each mode's score is its probability."""
     best, modes = tracked.best, tracked.modes
+    total = sum(mode.probability for mode in modes)
+    allowed = YawSet(tuple(YawMode(mode.yaw, mode.yaw_std, mode.probability / total) for mode in modes))
     return {
         "yaw_deg": math.degrees(best.yaw),
         "yaw_std_deg": math.degrees(best.yaw_std),
@@ -68,6 +92,7 @@ def _believed(tracked: Tracked, frame_yaw_deg: float | None) -> dict[str, Any]:
             }
             for mode in modes
         ],
+        "yaw_set": _yaws(allowed) if modes else None,
         "probability": best.probability,
         "rate_deg": math.degrees(best.rate),
         "frame_yaw_deg": frame_yaw_deg,

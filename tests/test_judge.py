@@ -298,3 +298,17 @@ def test_leaning_frames_lean_float_and_are_seen_from_two_sides() -> None:
         assert np.abs(one.images[0] - one.images[1]).mean() > 0.01
     off = next(leaning_frames(3, 1, 20.0, False))
     assert np.abs(off.images - first[0].images).mean() > 1e-3
+
+
+def test_given_objects_are_turned_reproducibly():
+    from experiments.judge.turned import turned_frames
+
+    sonar = Sonar.preset("didson-hf", tilt=math.radians(20.0))
+    meshes = [objects.target(), objects.target()]
+    first, again = (list(turned_frames(3, meshes, sonar, 20.0)) for _ in range(2))
+    assert [frame.exact for frame in first] == [True, False]
+    assert [frame.yaw for frame in first] == [frame.yaw for frame in again]
+    assert first[0].yaw != first[1].yaw
+    for one, other in zip(first, again, strict=True):
+        assert one.image.shape == sonar.shape and one.image.std() > 0.01
+        np.testing.assert_array_equal(one.image, other.image)

@@ -65,7 +65,7 @@ def _bricks(*parts: tuple[float, float, float, float, int]) -> sj.Mesh:
     boxes = []
     for x, y, z, yaw, posture in parts:
         size = tuple(BRICK_M[k] for k in sides[posture])
-        boxes.append(box(size, (x, y, z + size[2] / 2), math.radians(yaw)))
+        boxes.append(box(size, (float(x), float(y), z + size[2] / 2), math.radians(yaw)))
     return sj.Mesh.from_arrays(*join(*boxes), name="pile")
 
 
@@ -83,14 +83,14 @@ class Scene(NamedTuple):
 @cache
 def scenes() -> dict[str, Scene]:
     """The objects by name."""
-    meshes = [mesh for target, other in _objects().values() for mesh in (target, other, mirrored(target))]
+    meshes = [mesh for target, other in bare_objects().values() for mesh in (target, other, mirrored(target))]
     stacked = sj.stack_meshes(meshes)
     alike = [jax.tree.map(lambda v, k=k: v[k], stacked) for k in range(len(meshes))]
-    return {name: Scene(*alike[3 * k : 3 * k + 3]) for k, name in enumerate(_objects())}
+    return {name: Scene(*alike[3 * k : 3 * k + 3]) for k, name in enumerate(bare_objects())}
 
 
-def _objects() -> dict[str, tuple[sj.Mesh, sj.Mesh]]:
-    """Each object by name, with another one much like it."""
+def bare_objects() -> dict[str, tuple[sj.Mesh, sj.Mesh]]:
+    """Each object by name, with another one much like it; nothing of them is padded."""
     low = BRICK_M[2] + 0.001
     mug = join(cylinder_arrays(0.06, 0.16, 24), box((0.09, 0.02, 0.10), (0.107, 0.0, 0.08)))
     jug = join(cylinder_arrays(0.06, 0.16, 24), box((0.05, 0.02, 0.16), (0.087, 0.0, 0.08)))

@@ -21,10 +21,22 @@ from sonarjax.refine.starts import (
 )
 from sonarjax.refine.views import in_common, in_view
 from sonarjax.refine.yaw import YawEstimate, refine_and_draw, refine_yaw
+from sonarjax.refine.yaw_set import (
+    SAME_YAW,
+    YAW_WEIGHTS,
+    YawInterval,
+    YawMode,
+    YawSet,
+    YawWeights,
+    make_yaw_set,
+    merged,
+    shares,
+)
 
 __all__ = [
-    "ERROR_BAR", "FINDING", "FRAME_BLURS", "FRAME_ITERATIONS", "MAP_REFINEMENT", "Candidate", "Drawn", "ErrorBar",
-    "Evidence", "PoseEstimate", "PoseFinder", "RefineConfig", "Start", "YawEstimate", "curve_evidence",
-    "gather_evidence", "in_common", "in_view", "is_kept", "locate", "make_starts", "on_frame", "peak_bins",
-    "plan_refinement", "prepare_refinement", "refine_and_draw", "refine_pose", "refine_start", "refine_yaw",
+    "ERROR_BAR", "FINDING", "FRAME_BLURS", "FRAME_ITERATIONS", "MAP_REFINEMENT", "SAME_YAW", "YAW_WEIGHTS", "Candidate",
+    "Drawn", "ErrorBar", "Evidence", "PoseEstimate", "PoseFinder", "RefineConfig", "Start", "YawEstimate",
+    "YawInterval", "YawMode", "YawSet", "YawWeights", "curve_evidence", "gather_evidence", "in_common", "in_view",
+    "is_kept", "locate", "make_starts", "make_yaw_set", "merged", "on_frame", "peak_bins", "plan_refinement",
+    "prepare_refinement", "refine_and_draw", "refine_pose", "refine_start", "refine_yaw", "shares",
 ]  # fmt: skip

@@ -9,7 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sonarjax.recognize import SAME_YAW, Hypothesis, Recognition
+from sonarjax.recognize import Hypothesis, Recognition
+from sonarjax.refine import SAME_YAW, shares
 from sonarjax.track.belief import RATE, YAW, Belief, Measurement
 from sonarjax.track.motion import TrackConfig
 
@@ -59,12 +60,12 @@ def measurement_of(
         right = probability(found) * (1 - config.misses)
         miss = math.log1p(-right)
         best = found.hypotheses[:count]
-        shares = _softmax(np.array([h.score for h in best]) / config.softness)
+        parts = shares(np.array([h.score for h in best]), config.softness)
         for k, one in enumerate(best):
             pose[:, k] = one.yaw, *_place(one, found)
             std[:, k] = _yaw_std(one, yaw_bins, config), config.place_std, config.place_std
             if np.isfinite(std[0, k, 0]) and right > 0:
-                weight[:, k] = np.log(right * shares[k]) + np.log([1 - config.tail, config.tail])
+                weight[:, k] = np.log(right * parts[k]) + np.log([1 - config.tail, config.tail])
         std[1] *= config.tail_scale
         if not np.isfinite(weight).any():
             miss = 0.0
@@ -94,11 +95,6 @@ def _yaw_std(one: Hypothesis, yaw_bins: int, config: TrackConfig) -> float:
 
 def _place(one: Hypothesis, found: Recognition) -> tuple[float, float]:
     return (found.x if one.x is None else one.x), (found.y if one.y is None else one.y)
-
-
-def _softmax(values: np.ndarray) -> np.ndarray:
-    parts = np.exp(values - values.max())
-    return parts / parts.sum()
 
 
 def modes_of(belief: Belief) -> tuple[Mode, ...]:

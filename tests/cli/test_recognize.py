@@ -8,7 +8,7 @@ import pytest
 FIELDS = {
     "frame", "identified", "score", "score_bank", "score_refined", "threshold", "yaw_bin_deg", "yaw_deg", "yaw_std_deg",
     "x_m", "y_m", "scores_by_yaw", "hypotheses", "segmenter", "seconds", "schema", "converged", "target", "runner_up",
-    "margin",
+    "margin", "yaw_set",
 }  # fmt: skip
 
 
@@ -32,6 +32,12 @@ def test_a_rendered_frame_is_recognized_with_every_field(recognize, rendered):
     assert (record["frame"], record["segmenter"], record["schema"]) == (str(rendered), "none", 2)
     assert all(set(found) == {"yaw_deg", "score", "yaw_std_deg", "converged"} for found in record["hypotheses"])
     assert (record["target"], record["runner_up"], record["margin"]) == ("target", None, None)
+    assert set(record["yaw_set"]) == {"modes", "within_68", "within_95"}
+    assert sum(mode["weight"] for mode in record["yaw_set"]["modes"]) == pytest.approx(1.0)
+    for name, share in (("within_68", 0.68), ("within_95", 0.95)):
+        held = record["yaw_set"][name]
+        assert share <= sum(one["weight"] for one in held) <= share + 0.05
+        assert all(0 <= one["low_deg"] < one["high_deg"] for one in held)
     assert record["identified"] == (record["score"] >= record["threshold"])
     assert 0 <= record["yaw_deg"] < 360
     # The brick looks the same after half a turn; 24 coarse beams do not tell more than this.
@@ -47,6 +53,7 @@ def test_without_refinement_yaw_is_the_bin(recognize, rendered, tmp_path):
     assert code == 1
     assert record["yaw_deg"] == record["yaw_bin_deg"]
     assert record["yaw_std_deg"] is None
+    assert record["yaw_set"] is None
     assert record["threshold"] == 0.99
     assert wide["frame"].endswith("wide.npy")
     assert "error" in wide

@@ -179,6 +179,9 @@ def test_a_line_of_results_is_the_beliefs():
     assert [set(h) for h in line["hypotheses"]] == [{"yaw_deg", "score", "yaw_std_deg", "converged"}] * 2
     assert sum(h["score"] for h in line["hypotheses"]) == pytest.approx(1.0, abs=0.01)
     assert (line["x_m"], line["y_m"]) == pytest.approx((2.0, 0.1), abs=1e-3)
+    assert [mode["yaw_deg"] for mode in line["yaw_set"]["modes"]] == [h["yaw_deg"] for h in line["hypotheses"]]
+    assert sum(mode["weight"] for mode in line["yaw_set"]["modes"]) == pytest.approx(1.0)
+    assert len(line["yaw_set"]["within_95"]) == 2  # both yaws, apart
     assert set(record_of(one, "a", 0.1)) < set(line)
 
 

@@ -1,0 +1,182 @@
+"""All yaws that one frame allows: a mixture of modes with weights, and the smallest set that holds a stated share.
+
+A symmetric object looks the same at several yaws, and one that is nearly symmetric does so in noise. One yaw and its
+error bar then say too much. Modes are the refined hypotheses, and the bank's other peaks, which nobody refined.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from sonarjax.io.errors import SonarjaxError
+
+CIRCLE = 2 * math.pi
+SAME_YAW = math.radians(8.0)
+"""Refined hypotheses closer than this are one [rad]."""
+UNIFORM_STD = CIRCLE / math.sqrt(12)
+"""Standard deviation of a yaw of which nothing is known [rad]."""
+REACH, STEPS, COARSE = 4.0, 64, 720
+"""Density is sampled up to so many standard deviations of a mode's tails, in so many steps a side, and all around."""
+
+
+class YawMode(NamedTuple):
+    """One yaw that the frame allows."""
+
+    yaw: float
+    """Absolute yaw [rad], in [0, 2π)."""
+    yaw_std: float
+    """Standard deviation [rad], given that this mode is the right one."""
+    weight: float
+    """Probability that it is [1], given that the target is shown; those of all modes add up to 1."""
+
+
+class YawInterval(NamedTuple):
+    """One of several disjoint intervals of yaw."""
+
+    low: float
+    """Where it begins [rad], in [0, 2π)."""
+    high: float
+    """Where it ends [rad]: above `low`, and so above 2π where it goes across 0."""
+    weight: float
+    """Probability of a yaw in it [1]."""
+
+
+class YawWeights(NamedTuple):
+    """How hypotheses are weighed against each other, and how heavy the tails of their errors are."""
+
+    softness: float
+    """By how much a refined hypothesis' score must be lower to be e times less likely [NCC]."""
+    slope: float
+    """By how much lower the score of a peak that was not refined is expected, for each of its bank's score [1]."""
+    unrefined: float
+    """What is taken off the score of such a peak besides [NCC]."""
+    tail: float
+    """Share of errors that are `tail_scale` times as large [1]."""
+    tail_scale: float
+    """Factor on their standard deviations [1]."""
+
+
+YAW_WEIGHTS = YawWeights(softness=0.02, slope=0.3, unrefined=0.02, tail=0.0, tail_scale=2.0)
+"""Fitted to validation frames, whose devices and objects are in no test (experiments/fit_yaw_set.py)."""
+
+
+def shares(scores: np.ndarray, softness: float) -> np.ndarray:
+    """Probabilities (hypothesis,) of hypotheses with `scores` (hypothesis,), of which one is right."""
+    parts = np.exp((scores - scores.max()) / softness)
+    return parts / parts.sum()
+
+
+@dataclass(frozen=True)
+class YawSet:
+    """The yaws that a frame allows, given that it shows the target."""
+
+    modes: tuple[YawMode, ...]
+    """Separate modes, the likeliest first."""
+    tail: float = 0.0
+    """Share of a mode's errors that are `tail_scale` times as large [1]."""
+    tail_scale: float = 1.0
+    """Factor on their standard deviations [1]."""
+
+    def density(self, yaw: np.ndarray) -> np.ndarray:
+        """Probability density [1/rad] at yaws (*batch) [rad]."""
+        yaw = np.asarray(yaw, float)[..., None]
+        total = np.zeros(yaw.shape[:-1])
+        for mode in self.modes:
+            off = np.remainder(yaw - mode.yaw + math.pi, CIRCLE) - math.pi + CIRCLE * np.arange(-1, 2)
+            for share, scale in ((1 - self.tail, 1.0), (self.tail, self.tail_scale)):
+                std = min(mode.yaw_std * scale, UNIFORM_STD)
+                normal = np.exp(-((off / std) ** 2) / 2) / (std * math.sqrt(CIRCLE))
+                total += mode.weight * share * normal.sum(-1)
+        return total
+
+    def intervals(self, coverage: float = 0.95) -> tuple[YawInterval, ...]:
+        """The smallest set of yaws that holds the share `coverage`, as disjoint intervals, the likeliest first.
+
+        It is the set of highest density (Hyndman, Computing and Graphing Highest Density Regions, The American
+        Statistician 50, 1996), to a few hundredths of a standard deviation. Raises SonarjaxError for a coverage that is
+        not between 0 and 1.
+        """
+        if not 0 < coverage < 1:
+            raise SonarjaxError(f"coverage: expected a share between 0 and 1, got {coverage}")
+        edges = self._edges()
+        width = np.diff(edges)
+        density = self.density((edges[:-1] + edges[1:]) / 2)
+        mass = density * width
+        order = np.argsort(-density, kind="stable")
+        needed = int(np.searchsorted(np.cumsum(mass[order]), coverage * mass.sum())) + 1
+        inside = np.zeros(len(mass), bool)
+        inside[order[:needed]] = True
+        return _joined(edges, inside, mass / mass.sum())
+
+    def holds(self, yaw: float, coverage: float = 0.95) -> bool:
+        """Whether a yaw [rad] is in the set of `coverage`. Raises SonarjaxError as `intervals` does."""
+        return any((yaw - one.low) % CIRCLE <= one.high - one.low for one in self.intervals(coverage))
+
+    def _edges(self) -> np.ndarray:
+        """Edges of the cells (cell + 1,) [rad] over one circle, narrow where a mode is."""
+        steps = np.linspace(-REACH, REACH, 2 * STEPS + 1)
+        parts = [np.linspace(0, CIRCLE, COARSE + 1)]
+        for mode in self.modes:
+            for scale in (1.0, self.tail_scale):
+                parts.append(np.remainder(mode.yaw + steps * min(mode.yaw_std * scale, UNIFORM_STD), CIRCLE))
+        return np.unique(np.concatenate(parts))
+
+
+def _joined(edges: np.ndarray, inside: np.ndarray, mass: np.ndarray) -> tuple[YawInterval, ...]:
+    """The cells (cell,) that are `inside` as intervals; those at both ends of the circle are one."""
+    change = np.diff(np.concatenate([[0], inside.astype(int), [0]]))
+    found = [
+        YawInterval(float(edges[a]), float(edges[b]), float(mass[a:b].sum()))
+        for a, b in zip(np.flatnonzero(change == 1), np.flatnonzero(change == -1), strict=True)
+    ]
+    if len(found) > 1 and inside[0] and inside[-1]:
+        first, last = found.pop(0), found.pop()
+        found.append(YawInterval(last.low, first.high + CIRCLE, first.weight + last.weight))
+    return tuple(sorted(found, key=lambda one: -one.weight))
+
+
+def make_yaw_set(
+    yaws: Sequence[float], stds: Sequence[float], scores: Sequence[float], curve: np.ndarray, curve_yaws: np.ndarray,
+    weights: YawWeights,
+) -> YawSet:  # fmt: skip
+    """The set of refined hypotheses (hypothesis,) [rad, rad, NCC], best first, and of the bank's other peaks.
+
+    `curve` (yaw,) are the bank's scores at `curve_yaws` (yaw,) [rad], ascending around the circle.
+    """
+    best, bin_std = max(scores), CIRCLE / len(curve) / math.sqrt(12)
+    rows = [(float(y), min(float(s), UNIFORM_STD), float(v)) for y, s, v in zip(yaws, stds, scores, strict=True)]
+    for yaw, height in _other_peaks(curve, np.asarray(curve_yaws), yaws):
+        rows.append((yaw, bin_std, best - weights.slope * float(curve.max() - height) - weights.unrefined))
+    share = shares(np.array([row[2] for row in rows]), weights.softness)
+    modes = [YawMode(yaw % CIRCLE, std, float(w)) for (yaw, std, _), w in zip(rows, share, strict=True)]
+    return YawSet(merged(modes), weights.tail, weights.tail_scale)
+
+
+def _other_peaks(curve: np.ndarray, yaws: np.ndarray, known: Sequence[float]) -> list[tuple[float, float]]:
+    """Yaw [rad] and height of local maxima of a curve (yaw,), a bin and more from all `known` yaws [rad]."""
+    local = (curve >= np.roll(curve, 1)) & (curve > np.roll(curve, -1))
+    apart = max(1.5 * CIRCLE / len(curve), SAME_YAW)
+    far = [all(abs(math.remainder(float(yaw) - one, CIRCLE)) > apart for one in known) for yaw in yaws]
+    return [(float(yaws[k]), float(curve[k])) for k in np.flatnonzero(local & np.array(far))]
+
+
+def merged(modes: Sequence[YawMode]) -> tuple[YawMode, ...]:
+    """Modes without overlap, the likeliest first: those closer than their error bars, or than `SAME_YAW`, are one."""
+    left, found = sorted(modes, key=lambda mode: -mode.weight), list[YawMode]()
+    while left:
+        best = left[0]
+        near = [m for m in left if abs(math.remainder(m.yaw - best.yaw, CIRCLE)) <= max(SAME_YAW, best.yaw_std)]
+        left = [mode for mode in left if mode not in near]
+        total = sum(mode.weight for mode in near)
+        if total <= 0:
+            continue
+        apart = [(mode.weight / total, math.remainder(mode.yaw - best.yaw, CIRCLE), mode.yaw_std) for mode in near]
+        middle = sum(share * off for share, off, _ in apart)
+        variance = sum(share * (std**2 + (off - middle) ** 2) for share, off, std in apart)
+        found.append(YawMode((best.yaw + middle) % CIRCLE, math.sqrt(variance), total))
+    return tuple(sorted(found, key=lambda mode: -mode.weight))
