@@ -2,8 +2,8 @@
 
 python -m experiments.train_paper [--seeds 0 1 2] [--preset smoke] [--help]
 
-`--into experiments/paper-cpu.safetensors` made the file beside this script, from seed 0; `fit_threshold` and
-`fit_decision --into` gave it its threshold and its rule. An interrupted training goes on from its last checkpoint.
+`--into experiments/paper-cpu.safetensors` made the file beside this script, from seed 0; its threshold is that of
+`fit_threshold`. An interrupted training goes on from its last checkpoint.
 """
 
 from __future__ import annotations
