@@ -62,8 +62,10 @@ class Settings:
     """Standard deviation of that guess [deg]."""
     height_std_m: float = 0.3
     """Standard deviation of that guess [m]."""
+    finder: str = "none"
+    """The segmenter with which `calibrate` looks for the pipe; with `pix2pix` its rule takes no frame for the pipe."""
     segmenter: str = "pix2pix"
-    """The segmenter."""
+    """The segmenter with which yaws are found."""
 
 
 def run(settings: Settings, job: Job) -> Report:
@@ -79,7 +81,7 @@ def run(settings: Settings, job: Job) -> Report:
 
     def calibrated(_: str) -> dict[str, Any]:
         found = sj.calibrate(
-            data.images[some], data.mesh, guess, masks=masks[some], segmenter=settings.segmenter, engine=engine(),
+            data.images[some], data.mesh, guess, masks=masks[some], segmenter=settings.finder, engine=engine(),
             prior={"tilt": math.radians(settings.tilt_std_deg), "height": settings.height_std_m},
         )  # fmt: skip
         return {
