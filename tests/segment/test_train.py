@@ -198,12 +198,12 @@ def test_recipes_that_cannot_be_followed(tmp_path, changes, complaint):
 
 
 def test_presets(tmp_path):
-    assert set(PRESETS) == {"smoke", "cpu", "paper"} and find_recipe("paper").pairs == 6780
+    assert set(PRESETS) == {"smoke", "cpu", "paper-cpu", "paper"} and find_recipe("paper").pairs == 6780
     assert find_recipe("paper").epochs == 30 and find_recipe("paper").networks.width == 64
     for name, recipe in PRESETS.items():
         assert recipe.name == name and recipe.networks.learning_rate == 2e-4 and recipe.networks.beta1 == 0.5
         assert discriminative(recipe).checked().networks.head == "classes"
-    with pytest.raises(SonarjaxError, match="smoke, cpu, paper"):
+    with pytest.raises(SonarjaxError, match="smoke, cpu, paper-cpu, paper"):
         train("huge", tmp_path)
 
 
