@@ -56,6 +56,7 @@ def found() -> Calibration:
         sonar=sonar, sensor=SensorModel(), poses=sj.Pose(np.array([2.0, 2.1]), 0.0, np.array([0.5, 1.0])),
         free=("tilt", "height"), change=np.array([math.radians(1.0), 0.0]),
         covariance=np.diag([math.radians(0.1) ** 2, 0.3**2]), determined={"tilt": True, "height": False},
+        bound={"tilt": math.radians(0.08), "height": 0.29},
         singular_values=np.array([30.0, 0.2]), weakest={"tilt": 0.1, "height": -0.99}, used=np.array([True, False]),
         probability=np.array([0.9, 0.1]), residual=np.array([1.0, np.nan]), converged=True,
     )  # fmt: skip
