@@ -62,10 +62,8 @@ class Settings:
     """Standard deviation of that guess [deg]."""
     height_std_m: float = 0.3
     """Standard deviation of that guess [m]."""
-    finder: str = "none"
-    """The segmenter with which `calibrate` looks for the pipe; with `pix2pix` its rule takes no frame for the pipe."""
     segmenter: str = "pix2pix"
-    """The segmenter with which yaws are found."""
+    """The segmenter with which the pipe and its yaws are found."""
 
 
 def run(settings: Settings, job: Job) -> Report:
@@ -81,8 +79,8 @@ def run(settings: Settings, job: Job) -> Report:
 
     def calibrated(_: str) -> dict[str, Any]:
         found = sj.calibrate(
-            data.images[some], data.mesh, guess, masks=masks[some], segmenter=settings.finder, engine=engine(),
-            prior={"tilt": math.radians(settings.tilt_std_deg), "height": settings.height_std_m},
+            data.images[some], data.mesh, guess, masks=masks[some], present=True, segmenter=loaded(settings.segmenter),
+            engine=engine(), prior={"tilt": math.radians(settings.tilt_std_deg), "height": settings.height_std_m},
         )  # fmt: skip
         return {
             "tilt": float(found.sonar.tilt), "height": float(found.sonar.height), "std": found.std,

@@ -87,6 +87,7 @@ def calibrate(
     poses: Pose | None = None,
     prior: Mapping[str, float] | None = None,
     masks: Any = None,
+    present: bool = False,
     segmenter: str | Segmenter = DEFAULT_SEGMENTER,
     search: SearchConfig = SearchConfig(),
     engine: Engine = PLAIN,
@@ -98,8 +99,9 @@ def calibrate(
     (see `picture`), jointly over the free numbers, the device's look and each frame's pose, by Levenberg–Marquardt with
     the poses eliminated (Triggs et al., Bundle Adjustment, 2000). Assumes a flat floor, one standing sonar, and that
     the target stands on the floor. Without `poses` (frame,) the target is searched for in each frame, and frames in
-    which it is not found are left out. `prior` gives standard deviations [rad, m or 1] of how well the nominal `sonar`
-    is known. What the frames do not determine keeps the nominal value, and is said to be undetermined.
+    which it is not found are left out; with `present`, the target is known to be in all of them, and all are fitted.
+    `prior` gives standard deviations [rad, m or 1] of how well the nominal `sonar` is known. What the frames do not
+    determine keeps the nominal value, and is said to be undetermined.
 
     `masks` (frame, range, beam) are true where pixels were measured, None for a frame that is measured everywhere;
     `progress` is told what is being done.
@@ -122,7 +124,7 @@ def calibrate(
     job = Job(prepared, mesh, sonar, names, std, engine, progress)
     if poses is not None:
         return _result(job, poses, np.ones(len(images)), np.ones(len(images), bool), np.zeros(len(names)))
-    begin = _first_guess(job, search)
+    begin, share = _first_guess(job, search), 1.0 if present else LEAST_SHARE
 
     def found_with(now: Sonar) -> tuple[Pose, np.ndarray]:
         progress("looking for the target")
@@ -131,9 +133,9 @@ def calibrate(
         return poses, np.array([one.probability for one in seen])
 
     at, probability = found_with(changed_sonar(sonar, names, jnp.asarray(begin)))
-    first = _result(job, at, probability, _likeliest(probability), begin)
+    first = _result(job, at, probability, _likeliest(probability, share), begin)
     at, probability = found_with(first.sonar.replace(geometry_std=None))  # now it is nearly right
-    used = _likeliest(probability) if made.rule is None else probability >= LIKELY
+    used = probability >= LIKELY if made.rule is not None and not present else _likeliest(probability, share)
     if not used.any():
         raise SonarjaxError(f"frames: the target was found in none of the {len(images)} frames")
     return _result(job, at, probability, used, first.change, coarse=False)
@@ -180,9 +182,9 @@ def _first_guess(job: Job, search: SearchConfig) -> np.ndarray:
     return change
 
 
-def _likeliest(probability: np.ndarray) -> np.ndarray:
-    """Which frames (frame,) are fitted with a sonar that may be far off: the likely ones, and always a few."""
-    least = max(LEAST_FRAMES, math.ceil(LEAST_SHARE * len(probability)))
+def _likeliest(probability: np.ndarray, share: float) -> np.ndarray:
+    """Which frames (frame,) are fitted with a sonar that may be far off: the likely ones, and at least this `share`."""
+    least = max(LEAST_FRAMES, math.ceil(share * len(probability)))
     return (probability >= LIKELY) | (np.argsort(np.argsort(-probability)) < least)
 
 

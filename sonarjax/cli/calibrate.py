@@ -24,6 +24,7 @@ def add(commands: Any) -> None:
         help="what is unknown, of tilt, roll, height, elevation_aperture, range_offset, range_scale, azimuth_scale, "
         "beam_bend (default: %(default)s)",
     )  # fmt: skip
+    command.add_argument("--present", action="store_true", help="every frame shows the target: leave none out")
     command.add_argument("--png", metavar="P", help="a picture for people: frames, and what the fit makes of them")
     add_unit(command)
 
@@ -47,8 +48,9 @@ def run(args: argparse.Namespace) -> int:
         frames.append(frame)
     images, masks = [frame.image for frame in frames], [frame.mask for frame in frames]
     found = calibrate(
-        images, mesh, sonar, free=args.free, masks=masks, engine=CpuEngine(), progress=partial(complain, kind="")
-    )
+        images, mesh, sonar, free=args.free, masks=masks, present=args.present, engine=CpuEngine(),
+        progress=partial(complain, kind=""),
+    )  # fmt: skip
     found.sonar.to_toml(args.out)
     if args.png is not None:
         from sonarjax.plot import plot_calibration, save_figure

@@ -61,6 +61,18 @@ def test_frames_without_the_target_are_refused() -> None:
 
 
 @pytest.mark.slow
+def test_where_the_target_is_known_to_be_no_frame_is_left_out(frames) -> None:
+    """The other object among them is fitted too; without it tilt and height come back."""
+    images, _ = frames
+    options = {"prior": {"tilt": math.radians(3.0), "height": 0.05}, "present": True}
+    assert sj.calibrate(images, sj.objects.target(), NOMINAL, **options).used.all()
+    found = sj.calibrate(images[:-1], sj.objects.target(), NOMINAL, **options)
+    assert found.used.all()
+    assert found.change[0] == pytest.approx(OFF[0], abs=math.radians(0.4))
+    assert found.change[1] == pytest.approx(OFF[1], abs=0.01)
+
+
+@pytest.mark.slow
 def test_known_poses_leave_the_target_unsearched(frames) -> None:
     images, poses = frames
     at = jax.tree.map(lambda *v: jnp.stack([jnp.asarray(x, jnp.float32) for x in v]), *poses[:-1])
