@@ -116,15 +116,17 @@ class Recognition:
 
     @property
     def yaw_set(self) -> YawSet | None:
-        """All yaws that the frame allows, with weights: its hypotheses and the bank's other peaks; None unrefined.
+        """All yaws that the frame allows, with weights: its hypotheses and the bank's other peaks.
+
+        None without refinement, and for a frame of a sequence that was found without the bank.
 
         The weights are for the case that the frame shows the target, and come from validation frames
         (experiments/fit_yaw_set.py); `yaw_set.intervals(0.95)` is the set of disjoint intervals that holds 95 %.
         """
         stds = [one.yaw_std for one in self.hypotheses if one.yaw_std is not None]
-        if len(stds) < len(self.hypotheses):
-            return None
         count = len(self.scores_by_yaw)
+        if len(stds) < len(self.hypotheses) or not count:
+            return None
         bins = (np.arange(count) - int(self.scores_by_yaw.argmax())) * (2 * math.pi / count)
         yaws, scores = [one.yaw for one in self.hypotheses], [one.score for one in self.hypotheses]
         return make_yaw_set(yaws, stds, scores, self.scores_by_yaw, self.yaw_bin + bins, YAW_WEIGHTS)

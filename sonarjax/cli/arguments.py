@@ -9,7 +9,10 @@ from typing import Any, NoReturn
 
 from sonarjax.io import complain
 
-FRAME_HELP = ".npz (image, mask), .npy, .png, or a sonar file .aris/.ddf/.raw (all its frames; FILE:N for one, from 0)"
+FRAME_HELP = (
+    ".npz (image, mask), .npy, .png, a recording .aris/.ddf/.raw/.oculus or a ROS bag .bag/.mcap/.db3 "
+    "(all frames; FILE:N for one, from 0; of a bag FILE:TOPIC:N)"
+)
 EXITS = "exit codes: 0 done; 1 a frame could not be read; 2 arguments, mesh, TOML or output that cannot be used"
 
 

@@ -16,14 +16,17 @@ def each_frame(specs: Sequence[str]) -> Iterator[tuple[str, Lazy]]:
     """
     from tqdm import tqdm
 
-    from sonarjax.io import iter_frames, split_spec
+    from sonarjax.io import SonarjaxError, iter_records, split_spec
 
     with tqdm(total=len(specs), unit="frame", file=sys.stderr, disable=not sys.stderr.isatty()) as bar:
         for spec in specs:
             first = True
             try:
-                for frame in iter_frames(spec):
-                    if first and split_spec(spec)[1] is None:
+                for frame in iter_records(spec):
+                    if isinstance(frame, SonarjaxError):
+                        yield spec, frame  # of a recording's damaged frame: the others follow
+                        continue
+                    if first and split_spec(spec).number is None:
                         bar.total += frame.meta["n_frames"] - 1  # known only now
                     first = False
                     yield frame.source, frame

@@ -1,4 +1,4 @@
-"""Files in and out as arrays and dicts: ARIS, DIDSON, Oculus, PNG, NPY, NPZ, TOML, JSON Lines. Never pickle.
+"""Files in and out as arrays and dicts: ARIS, DIDSON, Oculus, bags of ROS, PNG, NPY, NPZ, TOML, JSON Lines. No pickle.
 
 `read_frames("file.aris:3")` gives `Frame`s: image float32 (range, beam) in [0, 1], near row first, beams in ascending
 azimuth (to port), with mask, geometry [m, deg] and what else the header says. Everything that cannot be used raises
@@ -9,7 +9,7 @@ from sonarjax.io.aris import parse_aris
 from sonarjax.io.aris_beams import aris_azimuth_deg
 from sonarjax.io.atomic import write_atomic, write_npz, write_png, write_text
 from sonarjax.io.console import complain, say, silence_stdout
-from sonarjax.io.convert import FAN_OPTIONS, FanOptions, convert, one_frame
+from sonarjax.io.convert import FAN_OPTIONS, FanOptions, convert, one_frame, to_bag
 from sonarjax.io.describe import describe
 from sonarjax.io.didson import DIDSON_TABLES, DidsonTables, didson_azimuth_deg, parse_didson
 from sonarjax.io.errors import SonarjaxError
@@ -19,10 +19,12 @@ from sonarjax.io.files import read_bytes
 from sonarjax.io.frame import Frame
 from sonarjax.io.images import parse_npy_frame, parse_npz_frame, parse_png_frame
 from sonarjax.io.jsonlines import JsonLines
-from sonarjax.io.load import iter_frames, naming, read_frames, split_spec
+from sonarjax.io.load import iter_frames, iter_records, naming, read_frames, split_spec
 from sonarjax.io.npy import PIXEL_LIMIT
 from sonarjax.io.oculus import parse_oculus
+from sonarjax.io.oculus_log import parse_oculus_log
 from sonarjax.io.outputs import check_label_files, check_outputs, make_folder
+from sonarjax.io.ros import bag_topics, write_bag
 from sonarjax.io.toml import parse_toml, read_toml
 
 __all__ = [
@@ -37,6 +39,7 @@ __all__ = [
     "PictureBox",
     "SonarjaxError",
     "aris_azimuth_deg",
+    "bag_topics",
     "check_label_files",
     "complain",
     "check_outputs",
@@ -48,6 +51,7 @@ __all__ = [
     "fan_to_polar",
     "fit_fan",
     "iter_frames",
+    "iter_records",
     "make_folder",
     "naming",
     "one_frame",
@@ -56,6 +60,7 @@ __all__ = [
     "parse_npy_frame",
     "parse_npz_frame",
     "parse_oculus",
+    "parse_oculus_log",
     "parse_png_frame",
     "parse_toml",
     "polar_to_fan",
@@ -65,7 +70,9 @@ __all__ = [
     "say",
     "silence_stdout",
     "split_spec",
+    "to_bag",
     "write_atomic",
+    "write_bag",
     "write_npz",
     "write_png",
     "write_text",

@@ -10,18 +10,26 @@ the meaning of FrequencyHiLow, and an aperture of 14 deg without the large lens.
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 from sonarjax.io.aris_beams import ARIS_1200, ARIS_1800, ARIS_3000, aris_azimuth_deg
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.files import Content
 from sonarjax.io.frame import Frame, Geometry
 from sonarjax.io.header import RANGE_LIMIT_M, Fields, Header, angles
-from sonarjax.io.naming import frame_numbers, named
+from sonarjax.io.naming import named
+from sonarjax.io.recording import Record, each_record, frames_of
 
 SIGNATURE = 0x05464444
 HEADER_BYTES = 1024
 MAX_SAMPLES = 65536
+LONGEST_SEARCH = 2**26
+"""Where the search for another frame header ends when frame 0 is damaged, 64 MiB [bytes]: several frames."""
+SIGNATURES_TRIED = 64
+"""How many places that look like a frame header are tried where frame 0 is damaged."""
 FRAME_FIELDS: Fields = {
     "FrameIndex": (0, "I"),
     "FrameTime": (4, "Q"),
@@ -73,15 +81,22 @@ def beam_count(ping_mode: int) -> int:
     return next((beams for low, high, beams in table if low <= ping_mode <= high), 0)
 
 
-def aris_layout(data: bytes, name: str) -> ArisLayout:
-    """Read the sizes from the first frame's header.
+def aris_layout(data: Content, name: str) -> ArisLayout:
+    """Read the sizes from the first frame's header, or from a later one where the first is damaged.
 
-    Raises SonarjaxError when the signature, PingMode or SamplesPerBeam is wrong or no frame is complete.
+    Raises SonarjaxError when the signature is wrong, no frame is complete, or no frame's PingMode and SamplesPerBeam
+    are right.
     """
     file = Header(data, name)
     _check_signature(file, file.unpack("I", 0, "signature")[0])
     first = Header(data, name, HEADER_BYTES, "frame 0")
-    n_ranges, n_beams = _size(first, first.fields(FRAME_FIELDS, HEADER_BYTES))
+    try:
+        n_ranges, n_beams = _size(first, first.fields(FRAME_FIELDS, HEADER_BYTES))
+    except SonarjaxError:
+        later = _later_size(data, name)
+        if later is None:
+            raise
+        n_ranges, n_beams = later
     frame_bytes = HEADER_BYTES + n_ranges * n_beams
     n_frames, rest = divmod(len(data) - HEADER_BYTES, frame_bytes)
     if n_frames == 0:
@@ -90,18 +105,39 @@ def aris_layout(data: bytes, name: str) -> ArisLayout:
     return ArisLayout(n_ranges, n_beams, n_frames, rest)
 
 
-def parse_aris(data: bytes, name: str, index: int | None = None) -> Iterator[Frame]:
+def _later_size(data: Content, name: str) -> tuple[int, int] | None:
+    """Range bins and beams from the first frame header after frame 0 that fits where it stands; None if none does."""
+    position = HEADER_BYTES + 12
+    for _ in range(SIGNATURES_TRIED):
+        position = data.find(struct.pack("<I", SIGNATURE), position + 1, LONGEST_SEARCH)
+        if position < 0:
+            return None
+        header = Header(data, name, position - 12, f"frame at byte {position - 12}")
+        try:
+            n_ranges, n_beams = _size(header, header.fields(FRAME_FIELDS, HEADER_BYTES))
+        except SonarjaxError:
+            continue
+        if (header.base - HEADER_BYTES) % (HEADER_BYTES + n_ranges * n_beams) == 0:
+            return n_ranges, n_beams
+    return None
+
+
+def parse_aris(data: Content, name: str, index: int | None = None) -> Iterator[Frame]:
     """Yield the frames of an ARIS file, or only frame `index`; `image` = stored byte / 255 (0 … 255 is 0 … 80 dB).
 
     `data` is the file's content and `name` its path, for messages. Raises SonarjaxError for anything that cannot be
     used: signature, sizes, sound speed, sample period, a frame of another size, an index out of range.
     """
+    return frames_of(aris_records(data, name, index))
+
+
+def aris_records(data: Content, name: str, index: int | None = None) -> Iterator[Record]:
+    """As `parse_aris`, but a frame that cannot be read is yielded as its error and costs no other."""
     layout = aris_layout(data, name)
-    for number in frame_numbers(name, layout.n_frames, index):
-        yield _read(data, name, layout, number)
+    yield from each_record(name, layout.n_frames, index, lambda number: _read(data, name, layout, number))
 
 
-def _read(data: bytes, name: str, layout: ArisLayout, number: int) -> Frame:
+def _read(data: Content, name: str, layout: ArisLayout, number: int) -> Frame:
     header = Header(data, name, HEADER_BYTES + number * layout.frame_bytes, f"frame {number}")
     fields = header.fields(FRAME_FIELDS, HEADER_BYTES)
     _check_signature(header, fields["Version"])

@@ -1,4 +1,4 @@
-"""`sonarjax convert`: a fan picture as a polar frame in an NPZ, or a polar frame as a fan picture in a PNG."""
+"""`sonarjax convert`: a fan picture as a polar frame in an NPZ, a polar frame as a fan picture, frames as a ROS bag."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.fan import fan_to_polar, polar_to_fan
 from sonarjax.io.fan_geometry import PictureBox, content_box, equal_beams, fan_around, fit_fan
 from sonarjax.io.frame import Frame
-from sonarjax.io.load import iter_frames
+from sonarjax.io.load import iter_frames, split_spec
+from sonarjax.io.ros import write_bag
 
 DARKEST = 1 / 255
 """Least value of a measured pixel in a fan picture: black is what was not measured, and tells where the sector ends."""
@@ -66,9 +67,21 @@ def one_frame(spec: str) -> Frame:
     Raises SonarjaxError as `read_frames` does, and when the file holds several.
     """
     frame = next(iter_frames(spec))
-    if frame.source != spec:
+    if frame.meta["n_frames"] > 1 and split_spec(spec).number is None:
         raise SonarjaxError(f"{spec}: expected one frame, it holds {frame.meta['n_frames']}: give {spec}:N")
     return frame
+
+
+def to_bag(spec: str, out: str, options: FanOptions = FanOptions()) -> str:
+    """Write all frames (range, beam) of `spec` as the sonar images of a ROS bag, `out` ending in .bag or .mcap.
+
+    Returns one line that says what was made. Raises SonarjaxError for options, which are of fan pictures, and as
+    `read_frames` and `write_bag` do.
+    """
+    for name in FanOptions.__dataclass_fields__:
+        if getattr(options, name) not in (None, False):
+            raise SonarjaxError(f"{_option(name)}: expected none with a bag as --out, got {out!r}")
+    return f"{out}: {write_bag(out, iter_frames(spec))} frames"
 
 
 def convert(frame: Frame, out: str, options: FanOptions = FanOptions()) -> str:
@@ -79,7 +92,9 @@ def convert(frame: Frame, out: str, options: FanOptions = FanOptions()) -> str:
     """
     ending = os.path.splitext(out)[1].lower()
     if ending not in (".npz", ".png"):
-        raise SonarjaxError(f"--out: {out!r}: expected an ending .npz (a polar frame) or .png (a fan picture)")
+        raise SonarjaxError(
+            f"--out: {out!r}: expected an ending .npz (a polar frame), .png (a fan picture), .bag or .mcap"
+        )
     for name in TO_FAN if ending == ".npz" else TO_POLAR:
         if getattr(options, name) not in (None, False):
             other = "png" if ending == ".npz" else "npz"

@@ -20,7 +20,7 @@ def describe(spec: str | os.PathLike[str]) -> str:
     Of a recording the first frame is described, or frame N of `path:N`; of weights how they were trained. Raises
     SonarjaxError when it cannot be read.
     """
-    path, index = split_spec(spec)
+    path, index, _ = split_spec(spec)
     ending = os.path.splitext(path)[1].lower()
     if ending == ".toml":
         return _text({"file": path, "format": "TOML", **_tables(read_toml(path))})

@@ -20,9 +20,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
+from sonarjax.io.files import Content
 from sonarjax.io.frame import Frame, Geometry
 from sonarjax.io.header import Fields, Header, angles
-from sonarjax.io.naming import frame_numbers, named
+from sonarjax.io.naming import named
+from sonarjax.io.recording import Record, each_record, frames_of
 
 Lengths = tuple[float, ...]
 
@@ -109,28 +111,34 @@ def didson_azimuth_deg(n_beams: int, tables: DidsonTables = DIDSON_TABLES) -> Fl
 
 
 def parse_didson(
-    data: bytes, name: str, index: int | None = None, tables: DidsonTables = DIDSON_TABLES
+    data: Content, name: str, index: int | None = None, tables: DidsonTables = DIDSON_TABLES
 ) -> Iterator[Frame]:
     """Yield the frames of a DIDSON file, or only frame `index`; `image` = stored byte / 255, shape (range, beam).
 
     `data` is the file's content and `name` its path, for messages. Raises SonarjaxError for a wrong signature, sizes or
     window codes, a file without a complete frame, or an index out of range.
     """
+    return frames_of(didson_records(data, name, index, tables))
+
+
+def didson_records(
+    data: Content, name: str, index: int | None = None, tables: DidsonTables = DIDSON_TABLES
+) -> Iterator[Record]:
+    """As `parse_didson`, but a frame that cannot be read is yielded as its error and costs no other."""
     file = didson_file(data, name, tables)
     n_frames = didson_frame_count(data, file)
     if n_frames == 0:
         wanted = file.header_bytes + file.frame_bytes
         raise Header(data, name).error("samples", f"truncated: expected {wanted} bytes or more, got {len(data)}")
-    for number in frame_numbers(name, n_frames, index):
-        yield _read(data, name, file, n_frames, number, tables)
+    yield from each_record(name, n_frames, index, lambda number: _read(data, name, file, n_frames, number, tables))
 
 
-def didson_frame_count(data: bytes, file: DidsonFile) -> int:
+def didson_frame_count(data: Content, file: DidsonFile) -> int:
     """Complete frames in the file, from its size alone."""
     return max(0, len(data) - file.header_bytes) // file.frame_bytes
 
 
-def didson_file(data: bytes, name: str, tables: DidsonTables = DIDSON_TABLES) -> DidsonFile:
+def didson_file(data: Content, name: str, tables: DidsonTables = DIDSON_TABLES) -> DidsonFile:
     """Read the file header. Raises SonarjaxError naming the field that is wrong."""
     header = Header(data, name)
     signature = header.unpack("3sB", 0, "signature")
@@ -154,13 +162,13 @@ def didson_file(data: bytes, name: str, tables: DidsonTables = DIDSON_TABLES) ->
     )
 
 
-def _file_header_bytes(data: bytes, candidates: tuple[int, ...], frame_bytes: int) -> int:
+def _file_header_bytes(data: Content, candidates: tuple[int, ...], frame_bytes: int) -> int:
     signed = [size for size in candidates if data[size + 12 : size + 15] == b"DDF"]
     whole = [size for size in candidates if len(data) > size and (len(data) - size) % frame_bytes == 0]
     return (signed + whole + list(candidates))[0]
 
 
-def _read(data: bytes, name: str, file: DidsonFile, n_frames: int, number: int, tables: DidsonTables) -> Frame:
+def _read(data: Content, name: str, file: DidsonFile, n_frames: int, number: int, tables: DidsonTables) -> Frame:
     header = Header(data, name, file.header_bytes + number * file.frame_bytes, f"frame {number}")
     image = header.pixels(file.frame_header_bytes, file.n_ranges, file.n_beams)
     if file.reverse:

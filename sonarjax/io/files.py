@@ -1,11 +1,17 @@
-"""Whole files as bytes, with a clear error for everything that is not a readable file with something in it."""
+"""Content of files, read or mapped, with a clear error for what is no readable file with something in it."""
 
 from __future__ import annotations
 
+import mmap
 import os
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from sonarjax.io.errors import SonarjaxError
+
+Content = bytes | mmap.mmap
+"""A file's content: read whole, or mapped, so that only the parts in use take memory."""
 
 
 def reason(error: Exception) -> str:
@@ -15,7 +21,7 @@ def reason(error: Exception) -> str:
 
 
 FILE_LIMIT = 16 * 2**30
-"""Largest file that is read, 16 GiB [bytes]: files are read whole. Half of the machine's memory where that is less."""
+"""Largest file that is read whole, 16 GiB [bytes]. Half of the machine's memory where that is less."""
 
 
 def size_limit() -> int:
@@ -41,29 +47,53 @@ def check_size(name: str, size: int, limit: int) -> None:
         )
 
 
+def map_bytes(path: str | os.PathLike[str]) -> mmap.mmap:
+    """The content of a file of any size, mapped read-only: parts are read from the disk when they are used.
+
+    Raises SonarjaxError when it is missing, a folder, a device, unreadable or empty.
+    """
+    name = os.fspath(path)
+    with _explained(name):
+        if _regular_size(name) == 0:
+            raise SonarjaxError(f"{name}: the file is empty")
+        with open(name, "rb") as file:
+            return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+
+
 def read_bytes(path: str | os.PathLike[str], allow_empty: bool = False, limit: int | None = None) -> bytes:
     """The content of a file of at most `limit` bytes (by default what `size_limit` says).
 
     Raises SonarjaxError when it is missing, a folder, a device, unreadable, empty or too large.
     """
     name = os.fspath(path)
-    try:
-        status = os.stat(name)
-        if stat.S_ISDIR(status.st_mode):
-            raise SonarjaxError(f"{name}: expected a file, this is a folder")
-        if not stat.S_ISREG(status.st_mode):  # a device or a pipe might never end
-            raise SonarjaxError(f"{name}: expected a regular file")
-        check_size(name, status.st_size, size_limit() if limit is None else min(limit, size_limit()))
+    with _explained(name):
+        check_size(name, _regular_size(name), size_limit() if limit is None else min(limit, size_limit()))
         with open(name, "rb") as file:
             data = file.read()
-    except FileNotFoundError as error:
-        raise SonarjaxError(f"{name}: no such file") from error
-    except SonarjaxError:
-        raise
-    except MemoryError as error:
-        raise SonarjaxError(f"{name}: the file is too large for the free memory") from error
-    except (OSError, ValueError) as error:  # ValueError: a path with a NUL character
-        raise SonarjaxError(f"{name!r}: cannot be read: {reason(error)}") from error
     if not data and not allow_empty:
         raise SonarjaxError(f"{name}: the file is empty")
     return data
+
+
+def _regular_size(name: str) -> int:
+    status = os.stat(name)
+    if stat.S_ISDIR(status.st_mode):
+        raise SonarjaxError(f"{name}: expected a file, this is a folder")
+    if not stat.S_ISREG(status.st_mode):  # a device or a pipe might never end
+        raise SonarjaxError(f"{name}: expected a regular file")
+    return status.st_size
+
+
+@contextmanager
+def _explained(name: str) -> Iterator[None]:
+    """What goes wrong while a file is opened, as a SonarjaxError that names it."""
+    try:
+        yield
+    except FileNotFoundError as error:
+        raise SonarjaxError(f"{name}: no such file") from error
+    except MemoryError as error:
+        raise SonarjaxError(f"{name}: the file is too large for the free memory") from error
+    except SonarjaxError:
+        raise
+    except (OSError, ValueError) as error:  # ValueError: a path with a NUL character
+        raise SonarjaxError(f"{name!r}: cannot be read: {reason(error)}") from error

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.files import Content
 
 Fields = dict[str, tuple[int, str]]
 """Field name -> (offset [bytes], struct code)."""
@@ -20,7 +21,7 @@ Fields = dict[str, tuple[int, str]]
 class Header:
     """A view of `data` from byte `base` on; `name` and `part` (such as "frame 3") open every message."""
 
-    data: bytes
+    data: Content
     """Content of the whole file."""
     name: str
     """The file's path, for messages."""

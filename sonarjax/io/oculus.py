@@ -2,7 +2,7 @@
 
 Layout checked against real files of one and of three pings: a 16-byte message header, the fire message, the ping
 result, int16 bearings of 0.01 deg, then the image (range, beam) at `imageOffset`. Messages of another kind are skipped.
-This is not the viewer's `.oculus` log.
+The viewer's `.oculus` log is read by `oculus_log.py`.
 
 Oculus bearings grow to starboard (the maker's viewer draws them at x = sin(bearing), x to the right), so azimuth is
 their negative and the columns are reversed; `bearing_sign=1` reads them as growing to port. Ranges start at 0. Not
@@ -20,9 +20,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32, Float64
 
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.files import Content
 from sonarjax.io.frame import Frame, Geometry
 from sonarjax.io.header import RANGE_LIMIT_M, Header
-from sonarjax.io.naming import frame_numbers, named
+from sonarjax.io.naming import named
+from sonarjax.io.recording import Record, each_record, frames_of
 
 MAGIC, SIMPLE_PING = 0x4F53, 0x23
 MESSAGE, FIRE, RESULT = "HHHHHIH", "BBBBBdddd", "IIddddIBdHHIII"
@@ -59,33 +62,49 @@ class OculusPing:
     """Gain asked for [%], as stored."""
 
 
-def parse_oculus(data: bytes, name: str, index: int | None = None, bearing_sign: int = -1) -> Iterator[Frame]:
+def parse_oculus(data: Content, name: str, index: int | None = None, bearing_sign: int = -1) -> Iterator[Frame]:
     """Yield the pings of a raw Oculus file, or only ping `index`; `image` = stored value / 255 (or / 65535).
 
     `data` is the file's content and `name` its path, for messages. Raises SonarjaxError for a wrong message, sizes,
     bearings or range step, a file without a complete ping, or an index out of range. An unfinished last ping is left
     out.
     """
+    return frames_of(oculus_records(data, name, index, bearing_sign))
+
+
+def oculus_records(data: Content, name: str, index: int | None = None, bearing_sign: int = -1) -> Iterator[Record]:
+    """As `parse_oculus`, but what cannot be read is yielded as its error and costs no other ping."""
     starts = oculus_starts(data, name)
-    for number in frame_numbers(name, len(starts), index):
-        header = Header(data, name, starts[number], f"ping {number}")
-        ping = _ping(header)
-        azimuth, image = _columns(header, ping, bearing_sign)
-        yield named(image, name, number, len(starts), _geometry(ping, azimuth), _meta(ping))
+
+    def read(number: int) -> Frame:
+        start = starts[number]
+        if isinstance(start, SonarjaxError):
+            raise start
+        return read_ping(Header(data, name, start, f"ping {number}"), name, number, len(starts), bearing_sign)
+
+    yield from each_record(name, len(starts), index, read)
 
 
-def oculus_starts(data: bytes, name: str) -> list[int]:
-    """Byte offsets of the complete pings. Raises SonarjaxError for a foreign message or when there is none."""
-    starts: list[int] = []
+def oculus_starts(data: Content, name: str) -> list[int | SonarjaxError]:
+    """Byte offsets of the complete pings; a stretch that is no message stands there as its error.
+
+    Raises SonarjaxError for a file that begins with something else, or when there is no ping in it.
+    """
+    starts: list[int | SonarjaxError] = []
     position = 0
     while position < len(data):
         header = Header(data, name, position, f"message at byte {position}")
         if starts and position + FIRE_AT > len(data):
             break  # cut off while recording
         magic, _, _, kind, _, payload, _ = header.unpack(MESSAGE, 0, "message header")
-        if magic != MAGIC:
-            raise header.error("id", f"expected 0x{MAGIC:04x} (Oculus), got 0x{magic:04x}")
         complete = position + FIRE_AT + payload <= len(data)
+        if magic != MAGIC:
+            error = header.error("id", f"expected 0x{MAGIC:04x} (Oculus), got 0x{magic:04x}")
+            if not starts:
+                raise error
+            starts.append(error)
+            position = _next_message(data, position + 1)
+            continue
         if kind == SIMPLE_PING and complete:
             starts.append(position)
         elif not complete and not starts:
@@ -95,6 +114,28 @@ def oculus_starts(data: bytes, name: str) -> list[int]:
     if not starts:
         raise Header(data, name).error("message", f"expected a ping result (0x{SIMPLE_PING:02x}), found none")
     return starts
+
+
+def _next_message(data: Content, start: int) -> int:
+    """Where a complete ping starts, at `start` [bytes] or after it; the end of the file if there is none."""
+    position = start
+    while (position := data.find(struct.pack("<H", MAGIC), position)) >= 0:
+        if position + FIRE_AT <= len(data):
+            kind, _, payload = struct.unpack_from("<HHI", data, position + 6)
+            if kind == SIMPLE_PING and position + FIRE_AT + payload <= len(data):
+                return position
+        position += 1
+    return len(data)
+
+
+def read_ping(header: Header, name: str, number: int, count: int, bearing_sign: int = -1) -> Frame:
+    """The ping that `header` heads, number `number` of the `count` pings of file `name`.
+
+    Raises SonarjaxError as `parse_oculus` does.
+    """
+    ping = _ping(header)
+    azimuth, image = _columns(header, ping, bearing_sign)
+    return named(image, name, number, count, _geometry(ping, azimuth), _meta(ping))
 
 
 def _ping(header: Header) -> OculusPing:

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.files import reason
 from sonarjax.io.load import RECORDINGS, split_spec
+from sonarjax.io.ros import is_bag
 
 
 def check_outputs(outputs: Mapping[str, str | None], inputs: Iterable[str]) -> None:
@@ -18,7 +19,7 @@ def check_outputs(outputs: Mapping[str, str | None], inputs: Iterable[str]) -> N
     Links are followed. A device such as /dev/null may be given twice.
     """
     given = [(option, path) for option, path in outputs.items() if path is not None]
-    sources = [split_spec(spec)[0] for spec in inputs]
+    sources = [split_spec(spec).path for spec in inputs]
     for number, (option, path) in enumerate(given):
         for source in sources:
             if same_file(path, source):
@@ -41,7 +42,7 @@ def check_label_files(folder: str, specs: Sequence[str]) -> None:
 
     `specs` are frames as `path` or `path:N`. How many frames a recording holds is not known yet: any number counts.
     """
-    paths = list(dict.fromkeys(split_spec(spec)[0] for spec in specs))
+    paths = list(dict.fromkeys(split_spec(spec).path for spec in specs))
     stems = {_stem(path): path for path in paths}
     recordings = {_stem(path) for path in paths if _is_recording(path)}
     inputs = {identity: path for path in paths if (identity := _identity(path)) is not None}
@@ -70,7 +71,7 @@ def _stem(path: str) -> str:
 
 
 def _is_recording(path: str) -> bool:
-    return os.path.splitext(path)[1].lower() in RECORDINGS
+    return os.path.splitext(path)[1].lower() in RECORDINGS or is_bag(path)
 
 
 def _identity(path: str) -> tuple[int, int] | None:

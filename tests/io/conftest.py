@@ -79,6 +79,19 @@ def oculus(n_pings=2, n_ranges=12, n_beams=16, bits=8, half_angle=3000, sound_sp
     return bytes(content)
 
 
+def oculus_log(packets: list[bytes], compress: bool = False) -> bytes:
+    """The viewer's log of these packets, between items of another kind."""
+    content = struct.pack("<II16sHH4xqd", 0x11223344, 48, b"Oculus", 1, 0, 0, 1.5)
+    for number, packet in enumerate(packets):
+        stored = struct.pack(">I", len(packet)) + zlib.compress(packet) if compress else packet
+        content += struct.pack("<IIHH4xdH2xII4x", 0xAABBCCDD, 40, 1, 0, 0.1 * number, 0, 3, 3) + b"abc"
+        content += struct.pack(
+            "<IIHH4xdH2xII4x", 0xAABBCCDD, 40, 10, 0, 0.1 * number, int(compress), len(packet), len(stored)
+        )
+        content += stored
+    return content
+
+
 def npy(array: np.ndarray) -> bytes:
     stream = io.BytesIO()
     np.save(stream, array)
@@ -116,7 +129,7 @@ def png(array: np.ndarray, width=None, height=None, extra: bytes = b"") -> bytes
 @pytest.fixture(scope="session")
 def make() -> SimpleNamespace:
     """The writers above."""
-    writers = (aris, didson, oculus, npy, npy_header, npz, png, chunk, ramp)
+    writers = (aris, didson, oculus, oculus_log, npy, npy_header, npz, png, chunk, ramp)
     return SimpleNamespace(**{writer.__name__: writer for writer in writers})
 
 

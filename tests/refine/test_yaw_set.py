@@ -1,6 +1,7 @@
 """Sets of yaws: modes with weights and disjoint intervals, against scipy's and closed forms."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +9,9 @@ from scipy.optimize import brentq
 from scipy.stats import norm, vonmises
 
 from sonarjax.io import SonarjaxError
+from sonarjax.recognize import Hypothesis, Recognition
 from sonarjax.refine import YAW_WEIGHTS, YawMode, YawSet, YawWeights, make_yaw_set, merged, shares
+from sonarjax.results import record_of
 
 DEG = math.pi / 180
 BINS = np.arange(36) * 10 * DEG
@@ -121,3 +124,17 @@ def test_modes_that_overlap_are_one_with_the_mixture_s_moments():
 
 def test_shipped_weights_are_sound():
     assert YAW_WEIGHTS.softness > 0 and YAW_WEIGHTS.slope >= 0 and 0 <= YAW_WEIGHTS.tail < 1 < YAW_WEIGHTS.tail_scale
+
+
+def test_a_frame_found_without_the_bank_has_no_set():
+    """A stream's next frame is refined from the last one's pose: there is no curve over yaw."""
+    one = Hypothesis(1.0, 0.8, 0.01, True)
+    found = Recognition(
+        identified=True, target="target", score=0.9, score_bank=math.nan, score_refined=0.8, threshold=0.5,
+        runner_up=None, margin=None, yaw_bin=math.nan, yaw=1.0, yaw_std=0.01, x=2.0, y=0.0, converged=True,
+        scores_by_yaw=FLAT, hypotheses=(one,), segmenter="none", semantic=np.zeros((2, 2)),
+    )  # fmt: skip
+    without = replace(found, scores_by_yaw=np.empty(0))
+    assert without.yaw_set is None and record_of(without, "a.npy", 0.1)["yaw_set"] is None
+    with_curve = replace(found, yaw_bin=1.0).yaw_set
+    assert with_curve is not None and with_curve.modes[0].yaw == pytest.approx(1.0)

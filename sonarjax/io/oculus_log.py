@@ -1,0 +1,117 @@
+"""Logs of Blueprint's Oculus viewer (`.oculus`): pings between a log's own headers, as the raw packets they were.
+
+Layout from the maker's published viewer source, which writes its C structs as they lie in memory (8-byte alignment),
+and from published readers that agree with it; not checked on a file. A file header names its own size, then items
+follow: a header that names its size, the kind of the payload, whether it is compressed, and the payload's size.
+Compression 1 is Qt's: the size before compression, four bytes with the most significant first, then a zlib stream.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from sonarjax.io.files import Content
+from sonarjax.io.frame import Frame
+from sonarjax.io.header import Header
+from sonarjax.io.oculus import FIRE_AT, read_ping
+from sonarjax.io.recording import Record, each_record, frames_of
+
+FILE_MAGIC, ITEM_MAGIC = 0x11223344, 0xAABBCCDD
+FILE_HEADER, ITEM_HEADER = "II16sHH4xqd", "IIHH4xdH2xII4x"
+SONAR_ITEM = 10
+"""Kind of an item whose payload is a packet of the sonar."""
+SIMPLE_PING = 0x23
+PACKET_LIMIT = 2**28
+"""Largest packet that is unpacked, 256 MiB [bytes]: a hostile stream must not fill the memory."""
+
+
+@dataclass(frozen=True)
+class LogItem:
+    """Where an item's payload lies in the log."""
+
+    payload_at: int
+    """Its first byte [bytes]."""
+    payload_size: int
+    """Its size as stored [bytes]."""
+    original_size: int
+    """Its size before compression [bytes]."""
+    compressed: bool
+    """Whether it is a zlib stream."""
+
+
+def parse_oculus_log(data: Content, name: str, index: int | None = None) -> Iterator[Frame]:
+    """Yield the pings of an Oculus viewer's log, or only ping `index`; `image` as in `parse_oculus`.
+
+    `data` is the file's content and `name` its path, for messages. Raises SonarjaxError for a file of another kind, an
+    encrypted one, one without a complete ping, a ping that cannot be read, or an index out of range.
+    """
+    return frames_of(oculus_log_records(data, name, index))
+
+
+def oculus_log_records(data: Content, name: str, index: int | None = None) -> Iterator[Record]:
+    """As `parse_oculus_log`, but a ping that cannot be read is yielded as its error and costs no other."""
+    pings = _pings(data, name)
+
+    def read(number: int) -> Frame:
+        packet = _packet(Header(data, name, pings[number].payload_at, f"ping {number}"), pings[number])
+        return read_ping(Header(packet, name, 0, f"ping {number}"), name, number, len(pings))
+
+    yield from each_record(name, len(pings), index, read)
+
+
+def _pings(data: Content, name: str) -> list[LogItem]:
+    """The complete items that hold a ping; one that is still being written at the log's end is left out."""
+    file = Header(data, name)
+    magic, size, _, _, encryption, _, _ = file.unpack(FILE_HEADER, 0, "file header")
+    if magic != FILE_MAGIC:
+        raise file.error("file header", f"expected 0x{FILE_MAGIC:08x} (Oculus log), got 0x{magic:08x}")
+    if encryption:
+        raise file.error("encryption", f"expected 0 (none), got {encryption}")
+    pings, position, least = [], max(size, struct.calcsize("<" + FILE_HEADER)), struct.calcsize("<" + ITEM_HEADER)
+    while position + least <= len(data):
+        item = Header(data, name, position, f"item at byte {position}")
+        magic, size, kind, _, _, compression, original, stored = item.unpack(ITEM_HEADER, 0, "item header")
+        if magic != ITEM_MAGIC or size < least:
+            position = _next_item(data, position + 1)  # what is damaged is lost, not what follows it
+            continue
+        found = LogItem(position + size, stored, original, compression == 1)
+        position += size + stored
+        if kind == SONAR_ITEM and position <= len(data) and _is_ping(data, found):
+            pings.append(found)
+    if not pings:
+        raise file.error("items", f"expected a complete ping (kind {SONAR_ITEM}), found none")
+    return pings
+
+
+def _next_item(data: Content, start: int) -> int:
+    """Where the next item's magic number is, at `start` [bytes] or after it; the end of the log if there is none."""
+    found = data.find(struct.pack("<I", ITEM_MAGIC), start)
+    return len(data) if found < 0 else found
+
+
+def _is_ping(data: Content, item: LogItem) -> bool:
+    """Whether the packet is a ping result, not the sonar's status or one of its other messages."""
+    if item.compressed:
+        return True  # the viewer compresses nothing but pings, and unpacking here would take as long as reading
+    if item.payload_size < FIRE_AT:
+        return False
+    return bool(struct.unpack_from("<HHHH", data, item.payload_at)[3] == SIMPLE_PING)
+
+
+def _packet(header: Header, item: LogItem) -> Content:
+    stored = header.data[item.payload_at : item.payload_at + item.payload_size]
+    if not item.compressed:
+        return stored
+    if item.original_size > PACKET_LIMIT:
+        raise header.error("originalSize", f"expected at most {PACKET_LIMIT} bytes, got {item.original_size}")
+    unpacker = zlib.decompressobj()
+    try:
+        packet = unpacker.decompress(stored[4:], item.original_size + 1)
+    except zlib.error as error:
+        raise header.error("payload", f"expected a zlib stream: {error}") from error
+    if len(packet) != item.original_size:
+        raise header.error("originalSize", f"expected {item.original_size} bytes, got {len(packet)} or more")
+    return packet

@@ -1,0 +1,207 @@
+"""Bags of ROS 1 (`.bag`) and ROS 2 (`.mcap`, `.db3`, a bag's folder), read and written without ROS by `rosbags`.
+
+Frames come from topics with `marine_acoustic_msgs/ProjectedSonarImage`. A message is unpacked when it is reached, so a
+long log takes no more memory than a short one.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import shutil
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.files import reason
+from sonarjax.io.frame import Frame
+from sonarjax.io.recording import Record
+from sonarjax.io.ros_messages import DEFINITIONS, MESSAGE, PACKAGE, frame_fields, is_sonar_image, message_frame
+
+BAGS = (".bag", ".mcap", ".db3")
+"""Endings of bags that are one file."""
+TOPIC = "/sonar_image"
+"""Topic under which frames are written."""
+STEP_NS = 100_000_000
+"""Time between written frames that do not say when they were taken, a tenth of a second [ns]."""
+
+
+def is_bag(path: str) -> bool:
+    """Whether a path is a bag by its ending, or a folder with a ROS 2 bag's metadata."""
+    return os.path.splitext(path)[1].lower() in BAGS or os.path.isfile(os.path.join(path, "metadata.yaml"))
+
+
+def bag_topics(path: str) -> dict[str, int]:
+    """Topics of a bag with sonar images, and how many messages each has. Raises SonarjaxError as `bag_records` does."""
+    with _opened(path) as reader:
+        return _counts(reader)
+
+
+def bag_records(path: str, topic: str | None = None, index: int | None = None) -> Iterator[Record]:
+    """Yield the sonar images of a bag in order of time, or only image `index`; one that cannot be read as its error.
+
+    Without `topic` the bag must have one topic of sonar images only.
+
+    Raises SonarjaxError when the file is missing or no bag, `rosbags` is not installed, or the topic or image does not
+    exist. Where the bag itself is damaged inside, what follows the damage is lost with one last error.
+    """
+    with _opened(path) as reader:
+        counts = _counts(reader)
+        chosen = _chosen(path, counts, topic)
+        if index is not None and not 0 <= index < counts[chosen]:
+            raise SonarjaxError(f"{path}:{chosen}: frame {index}: expected 0 to {counts[chosen] - 1}")
+        wanted = [c for c in reader.connections if c.topic == chosen and is_sonar_image(c.msgtype)]
+        messages = reader.messages(connections=wanted)
+        for number in itertools.count():
+            source = f"{path}:{chosen}:{number}"
+            try:
+                connection, _, raw = next(messages)
+            except StopIteration:
+                return
+            except Exception as error:
+                yield SonarjaxError(f"{source}: the bag cannot be read from here on: {reason(error)}")
+                return
+            if index is None or number == index:
+                yield _record(reader, connection, raw, source, number, counts[chosen])
+            if number == index:
+                return
+
+
+def write_bag(path: str | os.PathLike[str], frames: Iterable[Frame], topic: str = TOPIC) -> int:
+    """Write frames (range, beam) as sonar images: ROS 1 in a `.bag`, ROS 2 in a `.mcap`, or else in a bag's new folder.
+
+    Values are rounded to 16 bits. Returns the number of frames. Raises SonarjaxError when the folder exists, the path
+    cannot be written, or a frame's geometry is not known; then nothing is left behind and what was there is kept.
+    """
+    target = Path(path)
+    ending = target.suffix.lower()
+    if ending not in (".bag", ".mcap") and target.exists():
+        raise SonarjaxError(f"{target}: expected a folder that does not exist yet")
+    partial = target.with_name(f".{target.name}.{os.getpid()}.part")
+    try:
+        count = _write(partial, frames, topic, ending == ".bag")
+        os.replace(next(partial.glob("*.mcap")) if ending == ".mcap" else partial, target)
+    except OSError as error:
+        raise SonarjaxError(f"{target}: cannot be written: {reason(error)}") from error
+    finally:
+        shutil.rmtree(partial, ignore_errors=True) if partial.is_dir() else partial.unlink(missing_ok=True)
+    return count
+
+
+def _write(path: Path, frames: Iterable[Frame], topic: str, ros1: bool) -> int:
+    writer, store = _writer(path, ros1)
+    msgtype, count = f"{PACKAGE}/msg/{MESSAGE}", 0
+    with writer:
+        connection = writer.add_connection(topic, msgtype, typestore=store)
+        serialize = store.serialize_ros1 if ros1 else store.serialize_cdr
+        for frame in frames:
+            stated = frame.meta.get("time_s")
+            time_ns = count * STEP_NS if stated is None else round(stated * 1e9)
+            writer.write(connection, time_ns, serialize(_message(store, frame, time_ns, count, ros1), msgtype))
+            count += 1
+    return count
+
+
+def _opened(path: str) -> Any:
+    """A reader of the bag that is open inside `with`. Raises SonarjaxError when it cannot be."""
+    if not os.path.exists(path):
+        raise SonarjaxError(f"{path}: no such file")
+    return _Bag(path)
+
+
+class _Bag:
+    """rosbags' reader, whose many ways of failing become one error that names the file."""
+
+    def __init__(self, path: str) -> None:
+        self.path = path
+
+    def __enter__(self) -> Any:
+        rosbags = _rosbags()
+        try:
+            self.reader = rosbags.highlevel.AnyReader([Path(self.path)], default_typestore=_typestore(False))
+            return self.reader.__enter__()
+        except Exception as error:  # of a damaged file rosbags raises whatever its parts do
+            raise SonarjaxError(f"{self.path}: cannot be read as a bag: {reason(error)}") from error
+
+    def __exit__(self, *raised: Any) -> None:
+        self.reader.__exit__(*raised)
+
+
+def _record(reader: Any, connection: Any, raw: Any, source: str, number: int, count: int) -> Record:
+    stem = f"{Path(source.split(':/')[0]).stem}{connection.topic.replace('/', '_')}_{number}"
+    try:
+        message = reader.deserialize(raw, connection.msgtype)
+        frame = message_frame(message, source, stem, number)
+    except SonarjaxError as error:
+        return error
+    except Exception as error:  # of a damaged message rosbags raises whatever its parts do
+        return SonarjaxError(f"{source}: expected a {MESSAGE}: {reason(error)}")
+    frame.meta["n_frames"] = count
+    return frame
+
+
+def _counts(reader: Any) -> dict[str, int]:
+    counts: dict[str, int] = {}
+    for connection in reader.connections:
+        if is_sonar_image(connection.msgtype):
+            counts[connection.topic] = counts.get(connection.topic, 0) + connection.msgcount
+    return counts
+
+
+def _chosen(path: str, counts: dict[str, int], topic: str | None) -> str:
+    if topic in counts:
+        return topic
+    there = ", ".join(sorted(counts)) or "none"
+    if topic is not None or len(counts) != 1:
+        asked = "one topic of sonar images" if topic is None else f"a topic of sonar images, not {topic!r}"
+        raise SonarjaxError(f"{path}: topic: expected {asked}; the bag has {there} (write {path}:TOPIC)")
+    return next(iter(counts))
+
+
+def _rosbags() -> SimpleNamespace:
+    """The parts of rosbags, which is an extra. Raises SonarjaxError when it is not installed."""
+    try:
+        from rosbags import highlevel, rosbag1, rosbag2, typesys
+    except ImportError as error:
+        raise SonarjaxError("rosbags: reading and writing bags needs it: pip install 'sonarjax[ros]'") from error
+    return SimpleNamespace(highlevel=highlevel, rosbag1=rosbag1, rosbag2=rosbag2, typesys=typesys)
+
+
+def _typestore(ros1: bool) -> Any:
+    """rosbags' types with the sonar's messages, under both of their names."""
+    typesys = _rosbags().typesys
+    store = typesys.get_typestore(typesys.Stores.ROS1_NOETIC if ros1 else typesys.Stores.ROS2_HUMBLE)
+    for package in (PACKAGE, PACKAGE.removeprefix("marine_")):
+        for name, text in DEFINITIONS.items():
+            store.register(typesys.get_types_from_msg(text, f"{package}/msg/{name}"))
+    return store
+
+
+def _writer(path: Path, ros1: bool) -> tuple[Any, Any]:
+    store = _typestore(ros1)
+    if ros1:
+        return _rosbags().rosbag1.Writer(path), store
+    rosbag2 = _rosbags().rosbag2
+    return rosbag2.Writer(path, version=9, storage_plugin=rosbag2.StoragePlugin.MCAP), store
+
+
+def _message(store: Any, frame: Frame, time_ns: int, number: int, ros1: bool) -> Any:
+    fields, types = frame_fields(frame, time_ns), store.types
+    stamp = types["builtin_interfaces/msg/Time"](sec=time_ns // 10**9, nanosec=time_ns % 10**9)
+    header = {"stamp": stamp, "frame_id": str(frame.meta.get("frame_id", "sonar"))}
+    if ros1:
+        header["seq"] = number
+    empty = fields.ranges[:0]
+    return types[f"{PACKAGE}/msg/{MESSAGE}"](
+        header=types["std_msgs/msg/Header"](**header),
+        ping_info=types[f"{PACKAGE}/msg/PingInfo"](
+            frequency=fields.frequency, sound_speed=fields.sound_speed, tx_beamwidths=empty, rx_beamwidths=empty
+        ),
+        beam_directions=[types["geometry_msgs/msg/Vector3"](x=x, y=y, z=z) for x, y, z in fields.directions.tolist()],
+        ranges=fields.ranges,
+        image=types[f"{PACKAGE}/msg/SonarImageData"](
+            is_bigendian=False, dtype=fields.dtype, beam_count=fields.beam_count, data=fields.data
+        ),
+    )

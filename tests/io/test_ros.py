@@ -1,0 +1,230 @@
+"""Bags of ROS: those that rosbags wrote are read as the message's comments say, and what is written comes back."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from sonarjax.io import Frame, SonarjaxError, bag_topics, describe, iter_records, read_frames, write_bag
+
+TEXTS = {
+    "PingInfo": "float32 frequency\nfloat32 sound_speed\nfloat32[] tx_beamwidths\nfloat32[] rx_beamwidths",
+    "SonarImageData": "bool is_bigendian\nuint32 dtype\nuint32 beam_count\nuint8[] data",
+    "ProjectedSonarImage": "std_msgs/Header header\nPingInfo ping_info\ngeometry_msgs/Vector3[] beam_directions\n"
+    "float32[] ranges\nSonarImageData image",
+}
+TYPE = "marine_acoustic_msgs/msg/ProjectedSonarImage"
+STARBOARD_FIRST = np.radians([20.0, 5.0, -15.0])
+"""Angles of the test's three beams, to starboard (towards Y) [rad]."""
+RANGES = np.array([1.05, 1.15, 1.25, 1.35], np.float32)
+
+
+def store(ros1: bool):
+    made = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    for name, text in TEXTS.items():
+        made.register(get_types_from_msg(text, f"marine_acoustic_msgs/msg/{name}"))
+    return made
+
+
+def pixels(number: int) -> np.ndarray:
+    return (np.arange(12).reshape(4, 3) * 20 + number).astype(np.uint8)
+
+
+def message(made, number: int, ros1: bool, **changed):
+    types = made.types
+    header = {"stamp": types["builtin_interfaces/msg/Time"](sec=5 + number, nanosec=250_000_000), "frame_id": "sonar"}
+    directions = changed.get("directions", [(0.0, math.sin(a), math.cos(a)) for a in STARBOARD_FIRST])
+    data = np.asarray(changed.get("data", pixels(number)))
+    return types[TYPE](
+        header=types["std_msgs/msg/Header"](**header, **({"seq": number} if ros1 else {})),
+        ping_info=types["marine_acoustic_msgs/msg/PingInfo"](
+            frequency=1.2e6, sound_speed=1490.0, tx_beamwidths=RANGES[:0], rx_beamwidths=RANGES[:0]
+        ),
+        beam_directions=[types["geometry_msgs/msg/Vector3"](x=x, y=y, z=z) for x, y, z in directions],
+        ranges=np.asarray(changed.get("ranges", RANGES), np.float32),
+        image=types["marine_acoustic_msgs/msg/SonarImageData"](
+            is_bigendian=changed.get("big", False), dtype=changed.get("dtype", 0), beam_count=changed.get("beams", 3),
+            data=np.frombuffer(data.tobytes(), np.uint8),
+        ),
+    )  # fmt: skip
+
+
+def bag(path: Path, messages: list[dict], topics: tuple[str, ...] = ("/sonar",)) -> str:
+    """A bag with these messages under each topic; a message {"raw": bytes} is written as it is."""
+    ros1 = path.suffix == ".bag"
+    made = store(ros1)
+    plugin = StoragePlugin.SQLITE3 if path.name.startswith("db3") else StoragePlugin.MCAP
+    with Writer1(path) if ros1 else Writer2(path, version=9, storage_plugin=plugin) as writer:
+        for topic in topics:
+            connection = writer.add_connection(topic, TYPE, typestore=made)
+            pack = made.serialize_ros1 if ros1 else made.serialize_cdr
+            for number, changed in enumerate(messages):
+                raw = changed.get("raw") or pack(message(made, number, ros1, **changed), TYPE)
+                writer.write(connection, number * 10**8, raw)
+    return str(path)
+
+
+@pytest.mark.parametrize("name", ["a.bag", "mcap", "db3"])
+def test_frames_of_a_bag(tmp_path, name):
+    path = bag(tmp_path / name, [{}, {}, {}])
+    frames = read_frames(path)
+    assert [frame.source for frame in frames] == [f"{path}:/sonar:{number}" for number in range(3)]
+    for number, frame in enumerate(frames):
+        # Y is starboard and azimuth grows to port: the stored order, starboard first, is already ascending.
+        np.testing.assert_allclose(frame.image * 255, pixels(number), atol=1e-4)
+        np.testing.assert_allclose(frame.geometry["azimuth_deg"], [-20.0, -5.0, 15.0])
+        assert frame.geometry["range_min_m"] == pytest.approx(1.0) and frame.geometry["range_max_m"] == pytest.approx(
+            1.4
+        )
+        assert frame.geometry["n_ranges"] == 4 and frame.meta["time_s"] == 5.25 + number
+        assert frame.geometry["sound_speed_m_s"] == 1490.0 and frame.geometry["frequency_hz"] == pytest.approx(1.2e6)
+    assert (
+        read_frames(f"{path}:/sonar:1")[0].meta["frame_index"] == read_frames(f"{path}:1")[0].meta["frame_index"] == 1
+    )
+    assert bag_topics(path) == {"/sonar": 3} and "3 beams" in describe(path)
+
+
+def test_a_single_mcap_file_and_stems(tmp_path):
+    folder = bag(tmp_path / "run", [{}, {}], topics=("/left/sonar",))
+    (file,) = Path(folder).glob("*.mcap")
+    frames = read_frames(str(file))
+    assert [frame.stem for frame in frames] == [f"{file.stem}_left_sonar_{number}" for number in range(2)]
+
+
+def test_beams_from_port_to_starboard_are_turned_round(tmp_path):
+    directions = [(0.0, math.sin(a), math.cos(a)) for a in STARBOARD_FIRST[::-1]]
+    (frame,) = read_frames(bag(tmp_path / "a.bag", [{"directions": directions}]))
+    np.testing.assert_allclose(frame.image * 255, pixels(0)[:, ::-1], atol=1e-4)
+    assert frame.geometry["azimuth_deg"] == sorted(frame.geometry["azimuth_deg"])
+
+
+@pytest.mark.parametrize(
+    ("dtype", "number", "big", "scale"),
+    [(">u2", 2, True, 65535), ("<u4", 4, False, 2**32 - 1), ("<i2", 3, False, 32767), ("<f4", 8, False, 1.0)],
+)
+def test_other_types_of_pixels(tmp_path, dtype, number, big, scale):
+    values = np.linspace(0, scale, 12).reshape(4, 3).astype(dtype)
+    (frame,) = read_frames(bag(tmp_path / "a.bag", [{"data": values, "dtype": number, "big": big}]))
+    np.testing.assert_allclose(frame.image, np.linspace(0, 1, 12).reshape(4, 3), atol=1e-4)
+
+
+BAD = [
+    ({"directions": []}, "beam_directions: expected at least one beam"),
+    ({"directions": [(0.3, 0.1, 1.0)] * 3}, "beam_directions: expected beams in the Y-Z plane"),
+    ({"directions": [(0.0, 0.0, 0.0)] * 3}, "beam_directions: expected finite directions"),
+    ({"directions": [(0.0, 0.1, 1.0)] * 3}, "beam_directions: expected a different azimuth"),
+    ({"ranges": [1.0, 1.1, 1.3, 1.4]}, "ranges: expected range bins of equal length"),
+    ({"ranges": [4.0, 3.0, 2.0, 1.0]}, "ranges: expected two or more growing ranges"),
+    ({"ranges": [-0.5, 0.5, 1.5, 2.5]}, "ranges: expected ranges of 0 m or more"),
+    ({"ranges": [1.0]}, "ranges: expected two or more growing ranges"),
+    ({"dtype": 10}, "image.dtype: expected 0 to 9, got 10"),
+    ({"beams": 4}, "image.beam_count: expected 3, a direction each, got 4"),
+    ({"data": np.zeros(11, np.uint8)}, "image.data: expected 12 bytes for 4 x 3 of uint8, got 11"),
+    ({"data": np.full(12, -1, np.int8), "dtype": 1}, "image.data: expected finite values"),
+    ({"data": np.full(12, np.nan, "f4"), "dtype": 8}, "image.data: expected finite values"),
+    ({"data": np.full(12, 1.5, "f4"), "dtype": 8}, "image.data: expected finite values"),
+    ({"raw": b"\x00\x01\x02"}, "expected a ProjectedSonarImage"),
+]
+
+
+def test_a_bad_message_is_one_clear_error_and_costs_no_other(tmp_path):
+    path = bag(tmp_path / "a.bag", [{}, *[changed for changed, _ in BAD], {}])
+    first, *errors, last = iter_records(path)
+    assert isinstance(first, Frame) and isinstance(last, Frame)
+    for number, (error, (_, said)) in enumerate(zip(errors, BAD, strict=True), start=1):
+        assert isinstance(error, SonarjaxError), BAD[number - 1]
+        assert str(error).startswith(f"{path}:/sonar:{number}: {said}") and "\n" not in str(error)
+
+
+def test_what_cannot_be_found(tmp_path):
+    path = bag(tmp_path / "a.bag", [{}], topics=("/port", "/starboard"))
+    for spec, said in [
+        (path, f"{path}: topic: expected one topic of sonar images; the bag has /port, /starboard"),
+        (f"{path}:/other", f"{path}: topic: expected a topic of sonar images, not '/other'; the bag has /port"),
+        (f"{path}:/port:1", f"{path}:/port: frame 1: expected 0 to 0"),
+        (str(tmp_path / "none.mcap"), f"{tmp_path / 'none.mcap'}: no such file"),
+    ]:
+        with pytest.raises(SonarjaxError) as caught:
+            read_frames(spec)
+        assert str(caught.value).startswith(said)
+    assert len(read_frames(f"{path}:/starboard")) == 1
+
+
+@pytest.mark.parametrize("ending", [".bag", ".mcap", ".db3"])
+def test_what_is_no_bag(tmp_path, ending):
+    path = tmp_path / f"a{ending}"
+    for content in (b"", b"nothing of the kind" * 50):
+        path.write_bytes(content)
+        with pytest.raises(SonarjaxError) as caught:
+            read_frames(str(path))
+        assert str(caught.value).startswith(f"{path}: ") and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["a.bag", "run"])
+def test_a_damaged_bag_never_ends_in_a_foreign_error(tmp_path, name):
+    path = Path(bag(tmp_path / name, [{}] * 4))
+    file = path if path.is_file() else next(path.glob("*.mcap"))
+    whole = file.read_bytes()
+    rng = np.random.default_rng(0)
+    for _ in range(60):
+        content = bytearray(whole[: rng.integers(1, len(whole))] if rng.random() < 0.3 else whole)
+        for at in rng.integers(0, len(content), 5):
+            content[at] = rng.integers(256)
+        file.write_bytes(content)
+        try:
+            records = list(iter_records(str(path)))
+        except SonarjaxError as error:
+            records = [error]
+        assert all("\n" not in str(record) for record in records if isinstance(record, SonarjaxError))
+
+
+@pytest.mark.parametrize("name", ["out.bag", "out", "out.mcap"])
+def test_written_frames_come_back(tmp_path, name):
+    azimuth = [-14.2, -6.0, 1.5, 13.0]  # a table that is not even
+    rng = np.random.default_rng(1)
+    geometry = {"azimuth_deg": azimuth, "range_min_m": 0.75, "range_max_m": 5.75, "n_ranges": 50, "frequency_hz": 1.8e6}
+    frames = [
+        Frame(rng.random((50, 4)).astype(np.float32), None, "f", "f", geometry, {"time_s": 100.5 + k}) for k in range(3)
+    ]
+    path = tmp_path / name
+    assert write_bag(path, iter(frames), "/didson") == 3
+    for written, found in zip(frames, read_frames(f"{path}:/didson"), strict=True):
+        np.testing.assert_allclose(found.image, written.image, atol=0.51 / 65535)
+        np.testing.assert_allclose(found.geometry["azimuth_deg"], azimuth, atol=1e-6)
+        assert found.geometry["range_min_m"] == pytest.approx(0.75, abs=1e-6)
+        assert found.geometry["range_max_m"] == pytest.approx(5.75, abs=1e-6)
+        assert found.meta["time_s"] == pytest.approx(written.meta["time_s"])
+    with AnyReader([path]) as reader:  # as someone without this package reads it
+        connection, stamp, raw = next(reader.messages())
+        seen = reader.deserialize(raw, connection.msgtype)
+        assert connection.msgtype == TYPE and stamp == 100_500_000_000
+        first = seen.beam_directions[0]
+        assert first.x == 0 and math.degrees(math.atan2(first.y, first.z)) == pytest.approx(14.2)  # Y is starboard
+        assert seen.ranges[0] == pytest.approx(0.8)
+    assert [entry.name for entry in tmp_path.iterdir()] == [name]
+    if path.is_dir():
+        with pytest.raises(SonarjaxError, match="expected a folder that does not exist yet"):
+            write_bag(path, frames)
+    else:  # another bag takes its place; one that cannot be written leaves it as it was
+        assert write_bag(path, frames[:1]) == 1 and len(read_frames(str(path))) == 1
+        with pytest.raises(SonarjaxError, match="expected the sonar's geometry"):
+            write_bag(path, [Frame(frames[0].image, None, "f", "f")])
+        assert len(read_frames(str(path))) == 1
+
+
+def test_a_frame_that_cannot_be_written_leaves_nothing_behind(tmp_path):
+    image = np.zeros((2, 2), np.float32)
+    with pytest.raises(SonarjaxError, match="f: azimuth_deg: expected the sonar's geometry"):
+        write_bag(tmp_path / "a.bag", [Frame(image, None, "f", "f")])
+    geometry = {"azimuth_deg": [0.0, 1.0], "range_min_m": 0.0, "range_max_m": 1.0}
+    with pytest.raises(SonarjaxError, match="f: mask: expected a frame that is measured everywhere"):
+        write_bag(tmp_path / "b", [Frame(image, np.zeros((2, 2), bool), "f", "f", geometry)])
+    with pytest.raises(SonarjaxError, match="cannot be written"):
+        write_bag(tmp_path / "missing" / "folder.bag", [])
+    assert list(tmp_path.iterdir()) == []
