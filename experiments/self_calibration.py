@@ -44,7 +44,8 @@ RIGHT_DEG = 5.0
 SHOWN = {"tilt": ("tilt [°]", 180 / math.pi), "height": ("height [cm]", 100.0),
          "range_scale": ("range scale [%]", 100.0), "azimuth_scale": ("azimuth scale [%]", 100.0)}  # fmt: skip
 """How each number is called in a table, and in which unit."""
-HEADS = {"name": "sonars", "count": "count", "number": "number", "median": "median error", "p90": "90 %",
+HEADS = {"name": "sonars", "count": "count", "number": "number", "mean": "mean of the signed errors",
+         "median": "median error", "p90": "90 %",
          "within_1": "within 1 std", "bound": "Cramér-Rao bound, median", "determined": "determined"}  # fmt: skip
 SET_HEADS = {"name": "set", "geometry": "geometry",
              "tilt": "tilt, error [°]", "tilt_std": "its std", "tilt_bound": "bound",
@@ -80,6 +81,10 @@ def run(settings: Settings, job: Job) -> Report:
         sets = job.map(lambda name: _external(where, name, settings), names, "sets")
     rows = [_summary(list(drawn.values()), name) for name in FREE] if drawn else []
     seconds = float(np.median([one["seconds"] for one in drawn.values()])) if drawn else None
+    job.arrays("devices", **{
+        f"{what}_{name}": np.array([one[what][name] for one in drawn.values()])
+        for what in ("error", "std", "bound") for name in FREE
+    })  # fmt: skip
     return {"rows": rows, "sets": [row for one in sets.values() for row in one], "calibration_s": seconds}
 
 
@@ -128,10 +133,11 @@ def _middle(sonar: sj.Sonar) -> float:
 
 def _summary(found: Sequence[dict[str, Any]], name: str) -> dict[str, Any]:
     title, unit = SHOWN[name]
-    error = unit * np.abs([one["error"][name] for one in found])
+    signed = unit * np.array([one["error"][name] for one in found])
+    error = np.abs(signed)
     std = unit * np.array([one["std"][name] for one in found])
     return {
-        "name": "drawn", "count": len(found), "number": title, "median": float(np.median(error)),
+        "name": "drawn", "count": len(found), "number": title, "mean": float(signed.mean()), "median": float(np.median(error)),
         "p90": float(np.percentile(error, 90)), "within_1": float((error <= std).mean()),
         "bound": unit * float(np.median([one["bound"][name] for one in found])),
         "determined": float(np.mean([one["determined"][name] for one in found])),
