@@ -23,7 +23,7 @@ from experiments.common.engine import engine
 from experiments.common.frames import observed
 from experiments.common.segmenters import loaded
 from sonarjax.io import Frame, SonarjaxError, iter_frames
-from sonarjax.io.load import PICTURES, RECORDINGS
+from sonarjax.io.load import ENDINGS
 from sonarjax.plot import MARK_COLOR
 from sonarjax.recognize import Hypothesis, Recognition, refine_on_frame
 from sonarjax.refine import MAP_REFINEMENT
@@ -54,7 +54,7 @@ def folder_files(folder: Path, follow: float) -> Iterator[Path]:
     """
     done, before, last = set[Path](), dict[Path, Any](), time.monotonic()
     while True:
-        now = {path: state for path in folder.iterdir() if path.suffix.lower() in {**PICTURES, **RECORDINGS} and (state := _state(path))}
+        now = {path: state for path in folder.iterdir() if path.suffix.lower() in ENDINGS and (state := _state(path))}
         ready = [path for path in now if path not in done and (not follow or before.get(path) == now[path])]
         for path in sorted(ready, key=natural):
             done.add(path)
