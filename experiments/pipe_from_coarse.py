@@ -115,29 +115,36 @@ def platform(images: np.ndarray, masks: np.ndarray) -> np.ndarray:
     return np.asarray(binary_fill_holes(largest)) & measured
 
 
-def wave_deg(error_deg: np.ndarray, yaw: np.ndarray) -> float:
-    """Amplitude [deg] of the part of the errors (frame,) that goes with sin 2ψ and cos 2ψ, ψ = `yaw` (frame,) [rad].
+def wave(error_deg: np.ndarray, yaw: np.ndarray) -> complex:
+    """The part of the errors (frame,) [deg] that goes with twice the `yaw` (frame,) [rad]: a of Re(a·exp(-2iψ)).
 
     By least squares beside a constant; errors beyond 10° are of another hypothesis and left out.
     """
     near = np.abs(error_deg) <= 10
-    basis = np.stack([np.ones(near.sum()), np.sin(2 * yaw[near]), np.cos(2 * yaw[near])], axis=1)
-    (_, sine, cosine), *_ = np.linalg.lstsq(basis, error_deg[near], rcond=None)
-    return float(np.hypot(sine, cosine))
+    basis = np.stack([np.ones(near.sum()), np.cos(2 * yaw[near]), np.sin(2 * yaw[near])], axis=1)
+    (_, cosine, sine), *_ = np.linalg.lstsq(basis, error_deg[near], rcond=None)
+    return complex(cosine, sine)
+
+
+def yaw_errors_deg(
+    data: real_turntable.Data, masks: np.ndarray, mesh: sj.Mesh, sonar: sj.Sonar, segmenter: str
+) -> np.ndarray:
+    """Yaw errors (frame,) [deg] of all frames with one geometry, none refused."""
+    recognizer = sj.Recognizer(mesh, sonar, segmenter=loaded(segmenter), engine=engine())
+    yaws = [recognizer(image, mask, threshold=-1.0).yaw for image, mask in zip(data.images, masks, strict=True)]
+    return np.asarray(real_turntable.errors_deg(np.array(yaws), data.truth)[0])
 
 
 def _judge(settings: Settings, data: real_turntable.Data, masks: np.ndarray, sonar: sj.Sonar) -> dict[str, Any]:
-    """Yaw errors of all frames with one geometry."""
-    recognizer = sj.Recognizer(data.mesh, sonar, segmenter=loaded(settings.segmenter), engine=engine())
-    yaws = [recognizer(image, mask, threshold=-1.0).yaw for image, mask in zip(data.images, masks, strict=True)]
-    error, _ = real_turntable.errors_deg(np.array(yaws), data.truth)
+    """How well yaw is found with one geometry."""
+    error = yaw_errors_deg(data, masks, data.mesh, sonar, settings.segmenter)
     return {
         "tilt_deg": math.degrees(float(sonar.tilt)),
         "height_m": float(sonar.height),
         "median_deg": float(np.median(np.abs(error))),
         "p90_deg": float(np.percentile(np.abs(error), 90)),
         "most_deg": float((np.abs(error) <= 10).mean()),
-        "wave_deg": wave_deg(error, data.truth),
+        "wave_deg": abs(wave(error, data.truth)),
         "error_deg": error.tolist(),
     }
 

@@ -138,7 +138,8 @@ def _summary(found: Sequence[dict[str, Any]], name: str) -> dict[str, Any]:
     std = unit * np.array([one["std"][name] for one in found])
     return {
         "name": "drawn", "count": len(found), "number": title, "mean": float(signed.mean()),
-        "median": float(np.median(error)), "p90": float(np.percentile(error, 90)), "within_1": float((error <= std).mean()),
+        "median": float(np.median(error)), "p90": float(np.percentile(error, 90)),
+        "within_1": float((error <= std).mean()),
         "bound": unit * float(np.median([one["bound"][name] for one in found])),
         "determined": float(np.mean([one["determined"][name] for one in found])),
     }  # fmt: skip
