@@ -3,8 +3,8 @@
 python -m experiments.pipe_sources [--data DIR] [--preset smoke] [--help]
 
 The frames and the geometry are those of `real_turntable`. One number at a time is changed both ways and the yaws are
-found anew. How the error's part with twice the yaw (an amplitude and a phase) changes says how far the number would have
-to be off to explain that part, and what of it none of its values would explain.
+found anew. How the error's part with twice the yaw (an amplitude and a phase) changes says how far the number would
+have to be off to explain that part, and what of it none of its values would explain.
 """
 
 from __future__ import annotations

@@ -36,9 +36,11 @@ PARAMETERS: dict[str, Parameter] = {
     "range_scale": Parameter(0.02, 0.004, "1"),
     "azimuth_scale": Parameter(0.03, 0.01, "1"),
     "beam_bend": Parameter(0.05, 0.02, "1"),
+    "beam_skew": Parameter(0.05, 0.02, "1"),
 }
 """What may be free: `range_scale` stretches all ranges, as a wrong sound speed does, `azimuth_scale` all beam angles;
-`beam_bend` b moves a beam at the share u of the half field of view by b·(u − u³) of it."""
+`beam_bend` b moves a beam at the share u of the half field of view by b·(u − u³) of it, `beam_skew` b by b·(u² − 1/3): the
+smooth unevenness of a lens, and that of one that is not centred."""
 
 SIZES: dict[str, Parameter] = {
     name: Parameter(0.25, 0.08, "1") for name in ("object_length", "object_width", "object_height")
@@ -79,11 +81,12 @@ def changed_sonar(sonar: Sonar, free: Sequence[str], change: Float[Array, "free"
     stretch, shift = 1 + by.get("range_scale", 0.0), by.get("range_offset", 0.0)
     if "range_scale" in by or "range_offset" in by:
         fields |= {name: getattr(sonar, name) * stretch + shift for name in ("range_min", "range_max")}
-    if "azimuth_scale" in by or "beam_bend" in by:
+    if not by.keys().isdisjoint(("azimuth_scale", "beam_bend", "beam_skew")):
         azimuth = jnp.asarray(sonar.azimuth)
         half = jnp.abs(azimuth).max()
         share = azimuth / half
-        bent = azimuth + by.get("beam_bend", 0.0) * half * (share - share**3)
+        bend, skew = by.get("beam_bend", 0.0), by.get("beam_skew", 0.0)
+        bent = azimuth + half * (bend * (share - share**3) + skew * (share**2 - 1 / 3))
         fields["azimuth"] = bent * (1 + by.get("azimuth_scale", 0.0))
     return sonar.replace(**fields)
 

@@ -22,7 +22,7 @@ def add(commands: Any) -> None:
     command.add_argument(
         "--free", metavar="NAMES", default="tilt,height", type=lambda text: tuple(text.split(",")),
         help="what is unknown, of tilt, roll, height, elevation_aperture, range_offset, range_scale, azimuth_scale, "
-        "beam_bend (default: %(default)s)",
+        "beam_bend, beam_skew (default: %(default)s)",
     )  # fmt: skip
     command.add_argument("--present", action="store_true", help="every frame shows the target: leave none out")
     command.add_argument("--png", metavar="P", help="a picture for people: frames, and what the fit makes of them")

@@ -34,7 +34,7 @@ class FloorPatch:
 class GeometryStd:
     """How well a sonar's geometry is known: standard deviations, as a calibration gives them; 0 where none is stated.
 
-    `range_scale`, `azimuth_scale` and `beam_bend` are those of `sonarjax.calibrate.PARAMETERS`.
+    `range_scale`, `azimuth_scale`, `beam_bend` and `beam_skew` are those of `sonarjax.calibrate.PARAMETERS`.
     """
 
     tilt: Scalar = 0.0
@@ -52,7 +52,9 @@ class GeometryStd:
     azimuth_scale: Scalar = 0.0
     """Of a factor on all beam angles [1]."""
     beam_bend: Scalar = 0.0
-    """Of an unevenness of the beam angles [1]."""
+    """Of an unevenness of the beam angles, the same on both sides [1]."""
+    beam_skew: Scalar = 0.0
+    """Of one that is not [1]."""
 
 
 @record

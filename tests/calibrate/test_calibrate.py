@@ -82,20 +82,52 @@ def test_known_poses_leave_the_target_unsearched(frames) -> None:
 
 
 @pytest.mark.slow
-def test_derivatives_are_finite_differences(frames) -> None:
+def test_an_uneven_beam_table_comes_back() -> None:
+    """Both terms at once, from frames at known poses across the fan."""
+    free, off = ("beam_bend", "beam_skew"), (0.06, -0.04)
+    true = changed_sonar(NOMINAL, free, jnp.array(off))
+    poses = [sj.Pose(2.3, 0.12 * (k - 3.5), 0.8 * k) for k in range(8)]
+    model = jax.tree.map(jnp.float32, SensorModel.nominal())
+    mesh = sj.objects.target()
+    images = [np.asarray(observe_scene(mesh, p, true, model, key=jax.random.key(k))[0]) for k, p in enumerate(poses)]
+    at = jax.tree.map(lambda *v: jnp.stack([jnp.asarray(x, jnp.float32) for x in v]), *poses)
+    found = sj.calibrate(images, mesh, NOMINAL, free=free, poses=at)
+    for name, change, truth in zip(free, found.change, off, strict=True):
+        assert change == pytest.approx(truth, abs=0.02)
+        assert found.determined[name]
+    wanted = np.asarray(true.azimuth)
+    assert (
+        np.abs(np.asarray(found.sonar.azimuth) - wanted).max() < np.abs(np.asarray(NOMINAL.azimuth) - wanted).max() / 3
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("free", "off", "free_steps"),
+    [
+        (FREE, OFF, (2e-3, 2e-3)),
+        (("azimuth_scale", "beam_bend", "beam_skew"), (0.01, 0.02, -0.02), (5e-3, 1e-2, 1e-2)),
+        (
+            ("roll", "elevation_aperture", "range_offset", "range_scale"),
+            (0.02, 0.01, 0.01, 0.004),
+            (4e-3, 2e-3, 1e-3, 5e-4),
+        ),
+    ],
+)
+def test_derivatives_are_finite_differences(frames, free, off, free_steps) -> None:
     """The gradient of the cost by shared and own numbers, away from the solution."""
     images, poses = frames
     size = WindowSize((NOMINAL.n_ranges, 48), 32)
     seen = Observation(images[0], np.ones(NOMINAL.shape, np.float32), poses[0], np.int32(24))
     sampling, std = make_sampling(NOMINAL.shape, 4.0), np.full(NOMINAL.n_ranges // 4, 0.3, np.float32)
-    shared, own = np.array([*OFF, *LOOK], np.float32), np.array([0.01, 0.002, 0.001, 0.2], np.float32)
+    shared, own = np.array([*off, *LOOK], np.float32), np.array([0.01, 0.002, 0.001, 0.2], np.float32)
 
     def blocks(shared: np.ndarray, own: np.ndarray):
         args = seen, sj.objects.target(), NOMINAL, shared, own, sampling, std, np.float32(2.75)
-        return linearise(*args, free=FREE, size=size)
+        return linearise(*args, free=free, size=size)
 
     hessian, gradient, cost, _ = (np.asarray(v, float) for v in blocks(shared, own))
-    steps = [2e-3, 1e-3, 1e-3, 2e-2, 2e-3, 2e-3, *[2e-2] * len(LOOK)]
+    steps = [2e-3, 1e-3, 1e-3, 2e-2, *free_steps, *[2e-2] * len(LOOK)]
     for k, step in enumerate(steps):
         move = np.eye(len(steps), dtype=np.float32)[k] * np.float32(step)
         costs = [float(blocks(shared + s * move[OWN:], own + s * move[:OWN])[2]) for s in (1, -1)]

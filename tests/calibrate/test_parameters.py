@@ -36,6 +36,9 @@ def test_each_number_changes_what_it_says() -> None:
     assert bent[-1] == pytest.approx(outer, rel=1e-5)  # the outer beams and the middle stay
     u = np.asarray(SONAR.azimuth) / outer
     np.testing.assert_allclose(bent, outer * (u + 0.1 * (u - u**3)), rtol=1e-4, atol=1e-6)
+    skewed = np.asarray(changed("beam_skew", 0.1).azimuth)
+    np.testing.assert_allclose(skewed, outer * (u + 0.1 * (u**2 - 1 / 3)), rtol=1e-4, atol=1e-6)
+    assert np.mean(skewed) == pytest.approx(0.0, abs=0.002)  # the fan as a whole is not turned: that is yaw's and y's
 
 
 def test_names_come_in_one_order() -> None:
