@@ -39,8 +39,8 @@ PARAMETERS: dict[str, Parameter] = {
     "beam_skew": Parameter(0.05, 0.02, "1"),
 }
 """What may be free: `range_scale` stretches all ranges, as a wrong sound speed does, `azimuth_scale` all beam angles;
-`beam_bend` b moves a beam at the share u of the half field of view by b·(u − u³) of it, `beam_skew` b by b·(u² − 1/3): the
-smooth unevenness of a lens, and that of one that is not centred."""
+`beam_bend` b moves a beam at the share u of the half field of view by b·(u − u³) of it, `beam_skew` b by b·(u² − 1/3):
+the smooth unevenness of a lens, and that of one that is not centred."""
 
 SIZES: dict[str, Parameter] = {
     name: Parameter(0.25, 0.08, "1") for name in ("object_length", "object_width", "object_height")

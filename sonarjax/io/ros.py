@@ -10,6 +10,7 @@ import itertools
 import os
 import shutil
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -55,16 +56,15 @@ def bag_records(path: str, topic: str | None = None, index: int | None = None) -
         wanted = [c for c in reader.connections if c.topic == chosen and is_sonar_image(c.msgtype)]
         messages = reader.messages(connections=wanted)
         for number in itertools.count():
-            source = f"{path}:{chosen}:{number}"
             try:
                 connection, _, raw = next(messages)
             except StopIteration:
                 return
             except Exception as error:
-                yield SonarjaxError(f"{source}: the bag cannot be read from here on: {reason(error)}")
+                yield SonarjaxError(f"{path}:{chosen}:{number}: the bag cannot be read from here on: {reason(error)}")
                 return
             if index is None or number == index:
-                yield _record(reader, connection, raw, source, number, counts[chosen])
+                yield _record(reader, path, connection, raw, number, counts[chosen])
             if number == index:
                 return
 
@@ -104,33 +104,26 @@ def _write(path: Path, frames: Iterable[Frame], topic: str, ros1: bool) -> int:
     return count
 
 
-def _opened(path: str) -> Any:
-    """A reader of the bag that is open inside `with`. Raises SonarjaxError when it cannot be."""
+@contextmanager
+def _opened(path: str) -> Iterator[Any]:
+    """rosbags' reader of a bag, whose many ways of failing become one error that names the file."""
     if not os.path.exists(path):
         raise SonarjaxError(f"{path}: no such file")
-    return _Bag(path)
+    rosbags = _rosbags()
+    try:
+        reader = rosbags.highlevel.AnyReader([Path(path)], default_typestore=_typestore(False))
+        reader.open()
+    except Exception as error:  # of a damaged file rosbags raises whatever its parts do
+        raise SonarjaxError(f"{path}: cannot be read as a bag: {reason(error)}") from error
+    try:
+        yield reader
+    finally:
+        reader.close()
 
 
-class _Bag:
-    """rosbags' reader, whose many ways of failing become one error that names the file."""
-
-    def __init__(self, path: str) -> None:
-        self.path = path
-
-    def __enter__(self) -> Any:
-        rosbags = _rosbags()
-        try:
-            self.reader = rosbags.highlevel.AnyReader([Path(self.path)], default_typestore=_typestore(False))
-            return self.reader.__enter__()
-        except Exception as error:  # of a damaged file rosbags raises whatever its parts do
-            raise SonarjaxError(f"{self.path}: cannot be read as a bag: {reason(error)}") from error
-
-    def __exit__(self, *raised: Any) -> None:
-        self.reader.__exit__(*raised)
-
-
-def _record(reader: Any, connection: Any, raw: Any, source: str, number: int, count: int) -> Record:
-    stem = f"{Path(source.split(':/')[0]).stem}{connection.topic.replace('/', '_')}_{number}"
+def _record(reader: Any, path: str, connection: Any, raw: Any, number: int, count: int) -> Record:
+    source = f"{path}:{connection.topic}:{number}"
+    stem = f"{Path(path).stem}{connection.topic.replace('/', '_')}_{number}"
     try:
         message = reader.deserialize(raw, connection.msgtype)
         frame = message_frame(message, source, stem, number)
