@@ -6,14 +6,14 @@ read first, and nothing is unpacked that has more than `PIXEL_LIMIT` numbers or 
 
 from __future__ import annotations
 
-import ast
 import io
 import math
-import struct
+import warnings
 import zipfile
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib import format
 
 from sonarjax.io.errors import SonarjaxError
 
@@ -43,52 +43,30 @@ class NpyHeader:
 
 
 def npy_header(data: bytes, name: str, field: str = "array") -> NpyHeader:
-    """Read and check the header at the start of `data`.
+    """Read and check the header at the start of `data`, by NumPy's own reader.
 
-    Raises SonarjaxError for a wrong magic, a header that is no dict of descr, fortran_order and shape, a type other
-    than bool, integer or float, and more than `PIXEL_LIMIT` numbers.
+    Raises SonarjaxError for a wrong magic, a header that NumPy refuses or that is longer than `HEADER_LIMIT`, a type
+    other than bool, integer or float, and more than `PIXEL_LIMIT` numbers.
     """
-    text, offset = _header_text(data, name, field)
+    file = io.BytesIO(data[: HEADER_LIMIT + 12])
     try:
-        if "\\" in text:  # NumPy writes none, and Python warns of the wrong ones
-            raise ValueError("escape")
-        said = ast.literal_eval(text)
-        descr, fortran, shape = said["descr"], said["fortran_order"], said["shape"]
-    except Exception as error:  # a hostile literal can raise nearly anything, MemoryError and RecursionError included
-        raise SonarjaxError(f"{name}: {field}: NPY header: expected a dict of descr, fortran_order, shape") from error
-    if not (isinstance(shape, tuple) and all(type(n) is int and n >= 0 for n in shape) and type(fortran) is bool):
-        raise SonarjaxError(f"{name}: {field}: NPY header: expected a shape of whole numbers, got {_short(shape)}")
-    dtype = _plain_dtype(descr, name, field)
-    if math.prod(shape) > PIXEL_LIMIT:
-        raise SonarjaxError(f"{name}: {field}: shape {_short(shape)}: expected at most {PIXEL_LIMIT} numbers")
-    return NpyHeader(dtype, shape, fortran, offset)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # NumPy warns of what it would guess
+            # Version 3 is for structured types alone, which are no picture.
+            read = {(1, 0): format.read_array_header_1_0, (2, 0): format.read_array_header_2_0}[format.read_magic(file)]
+            shape, fortran, dtype = read(file, max_header_size=HEADER_LIMIT)
+    except Exception as error:  # a hostile header can raise nearly anything, MemoryError and RecursionError included
+        why = "version 1 or 2" if isinstance(error, KeyError) else _short_text(_line(error))
+        raise SonarjaxError(f"{name}: {field}: expected NPY data with its header: {why}") from error
+    if dtype.subdtype is not None or dtype.names is not None or dtype.kind not in "biuf":
+        raise SonarjaxError(f"{name}: {field}: dtype: expected bool, integer or float, got {_short_text(str(dtype))}")
+    if min(shape, default=0) < 0 or math.prod(shape) > PIXEL_LIMIT:
+        got = _short_text(str(shape))
+        raise SonarjaxError(f"{name}: {field}: shape {got}: expected at most {PIXEL_LIMIT} numbers, none below 0")
+    return NpyHeader(dtype, shape, fortran, file.tell())
 
 
-def _header_text(data: bytes, name: str, field: str) -> tuple[str, int]:
-    if len(data) < 10 or data[:6] != b"\x93NUMPY" or data[6] not in (1, 2, 3):
-        raise SonarjaxError(f"{name}: {field}: expected NPY data (magic \\x93NUMPY, version 1 to 3)")
-    layout = "<H" if data[6] == 1 else "<I"
-    start = 8 + struct.calcsize(layout)
-    if len(data) < start:
-        raise SonarjaxError(f"{name}: {field}: NPY header: truncated")
-    length = struct.unpack_from(layout, data, 8)[0]
-    if length > HEADER_LIMIT or start + length > len(data):
-        raise SonarjaxError(f"{name}: {field}: NPY header: expected at most {HEADER_LIMIT} bytes, all in the file")
-    return data[start : start + length].decode("latin-1"), start + length
-
-
-def _plain_dtype(descr: object, name: str, field: str) -> np.dtype:
-    try:
-        dtype = np.dtype(descr) if isinstance(descr, str) else None
-    except Exception:  # np.dtype raises several types on a malformed string
-        dtype = None
-    if dtype is None or dtype.names is not None or dtype.subdtype is not None or dtype.kind not in "biuf":
-        raise SonarjaxError(f"{name}: {field}: dtype: expected bool, integer or float, got {_short(descr)}")
-    return dtype
-
-
-def _short(value: object) -> str:
-    text = repr(value)
+def _short_text(text: str) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
@@ -139,7 +117,7 @@ class NpzArchive:
         """The first `size` bytes of a member (a header's worth for 0), and whether more follow."""
         if key not in self._members:
             found = ", ".join(self.keys[:8]) or "nothing"
-            raise SonarjaxError(f"{self.name}: {key}: expected an array of this name, found {_short(found)}")
+            raise SonarjaxError(f"{self.name}: {key}: expected an array of this name, found {_short_text(repr(found))}")
         info = self._members[key]
         if info.flag_bits & 1 or info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             raise SonarjaxError(f"{self.name}: {key}: expected a stored or deflated member without a password")
