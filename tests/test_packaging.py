@@ -47,13 +47,20 @@ def test_constraint_check_sees(line: str) -> None:
 
 def test_every_dependency_is_pinned() -> None:
     extras = PYPROJECT["optional-dependencies"]
-    wanted = [*PYPROJECT["dependencies"], *extras["test"], *extras["notebooks"], *extras["bench"]]
+    wanted = [
+        *PYPROJECT["dependencies"],
+        *extras["test"],
+        *extras["notebooks"],
+        *extras["bench"],
+        *extras["onnx"],
+        *extras["docs"],
+    ]
     names = {re.split(r"[^A-Za-z0-9_-]", spec)[0] for spec in wanted}
     assert names - {pinned(line) for line in CONSTRAINTS} == set()
 
 
 def test_extras() -> None:
-    assert {"cuda", "test", "notebooks", "bench"} <= set(PYPROJECT["optional-dependencies"])
+    assert {"cuda", "test", "notebooks", "bench", "docs", "onnx"} <= set(PYPROJECT["optional-dependencies"])
 
 
 @pytest.mark.parametrize("name", ["LICENSE", "README.md", "CHANGELOG.md", "CITATION.cff", "sonarjax/py.typed"])
@@ -65,6 +72,42 @@ def test_ci_runs_the_tests() -> None:
     script = PROJECT / ".ci" / "run"
     assert script.stat().st_mode & stat.S_IXUSR
     assert "\nmake test\n" in script.read_text(encoding="utf-8")
+
+
+def test_workflows_run_what_the_makefile_has() -> None:
+    yaml = pytest.importorskip("yaml")
+    ci, release = (
+        yaml.safe_load((PROJECT / ".github" / "workflows" / name).read_text(encoding="utf-8"))
+        for name in ("ci.yml", "release.yml")
+    )
+    assert ci["jobs"]["test"]["strategy"]["matrix"]["python"] == ["3.11", "3.12", "3.13"]
+    versions = [c.rsplit(" ", 1)[-1] for c in PYPROJECT["classifiers"] if re.search(r":: 3\.\d+$", c)]
+    assert versions == ci["jobs"]["test"]["strategy"]["matrix"]["python"]
+    runs = [step.get("run", "") for job in (*ci["jobs"].values(), *release["jobs"].values()) for step in job["steps"]]
+    makefile = (PROJECT / "Makefile").read_text(encoding="utf-8")
+    targets = [word for line in runs for word in re.findall(r"\bmake (\S+)", line)]
+    assert {"test", "docs"} <= set(targets)
+    assert [target for target in targets if not re.search(rf"^{target}:", makefile, re.MULTILINE)] == []
+    files = [word for line in runs for word in re.findall(r"\btests/\S+", line)]
+    assert files and all((PROJECT / file).is_file() for file in files)
+    assert release["jobs"]["publish"]["permissions"] == {"id-token": "write"}
+
+
+def test_pre_commit_has_the_pinned_versions() -> None:
+    text = (PROJECT / ".pre-commit-config.yaml").read_text(encoding="utf-8")
+    pins = dict(line.split("==") for line in CONSTRAINTS if " ; " not in line)
+    for name in ("ruff", "codespell"):
+        assert re.search(rf"repo: \S*{name}\S*\n    rev: v{re.escape(pins[name])}\n", text)
+
+
+def test_map_of_the_house_names_every_folder() -> None:
+    table = (PROJECT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    folders = {f"sonarjax/{p.parent.name}" for p in (PROJECT / "sonarjax").glob("*/__init__.py")}
+    assert [
+        name
+        for name in folders | {"experiments", "paper_figs", "notebooks", "docs", "tests"}
+        if f"| `{name}`" not in table
+    ] == []
 
 
 # The compilation cache, each time in a process of its own: JAX reads these settings once.

@@ -14,6 +14,7 @@ outside is background; only the map of `none` is the frame there as well.
 """
 
 from sonarjax.segment.classical import to_grey
+from sonarjax.segment.onnx_file import export_onnx
 from sonarjax.segment.rule import EVIDENCE, IdentificationRule
 from sonarjax.segment.segmenters import DEFAULT_SEGMENTER, SEGMENTERS, Segmenter, check_segmenter, load_segmenter
 from sonarjax.segment.tiled import segment
@@ -21,5 +22,5 @@ from sonarjax.segment.weights import GeneratorWeights
 
 __all__ = [
     "DEFAULT_SEGMENTER", "EVIDENCE", "SEGMENTERS", "GeneratorWeights", "IdentificationRule", "Segmenter",
-    "check_segmenter", "load_segmenter", "segment", "to_grey",
+    "check_segmenter", "export_onnx", "load_segmenter", "segment", "to_grey",
 ]  # fmt: skip

@@ -10,7 +10,7 @@ import pytest
 from sonarjax.segment import SEGMENTERS
 
 ROOT = Path(__file__).parents[2]
-COMMANDS = ("render", "segment", "recognize", "train", "info", "convert")
+COMMANDS = ("render", "segment", "recognize", "train", "info", "convert", "export")
 RENDER = ["render", "m.stl", "--sonar", "s.toml", "--x", "2", "--y", "0", "--yaw-deg", "0", "--out", "f.npz"]
 
 
@@ -33,6 +33,7 @@ def test_help_names_what_the_contract_lists(command, command_name):
         "recognize": ("FRAME", "--target", "--sonar", "--out", "--segmenter", "--no-refine", "--threshold"),
         "train": ("smoke,cpu,paper", "--run-dir", "--resume"),
         "info": ("FILE",),
+        "export": ("--onnx", "--segmenter"),
         "convert": ("FILE", "--out", "--opening-deg", "--range-min", "--range-max", "--bins", "--beams", "--width"),
     }[command_name]
     assert all(word in out for word in expected)
@@ -76,6 +77,7 @@ def test_module_runs_as_a_command(place):
         (["recognize", "f", "--target", "m", "--sonar", "s", "--out", "r", "--threshold", "2"], "--threshold"),
         (["recognize", "--target", "m", "--sonar", "s", "--out", "r"], "FRAME"),
         (["segment", "f.npz"], "--out-dir"),
+        (["export", "--segmenter", "pix2pix"], "--onnx"),
         (["train", "--preset", "huge", "--run-dir", "r"], "huge"),
         (["recognize", "f", "--targ", "m", "--sonar", "s", "--out", "r"], "--target"),
     ],

@@ -1,0 +1,36 @@
+"""`sonarjax export`: the segmenter's network as an ONNX file."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from sonarjax.cli.arguments import EXITS
+from sonarjax.cli.frames import start_jax
+from sonarjax.io import check_outputs, say
+from sonarjax.segment import DEFAULT_SEGMENTER
+
+
+def add(commands: Any) -> None:
+    """Add the command's arguments to the parser's `commands`."""
+    command = commands.add_parser("export", help="the segmenter's network as an ONNX file", epilog=EXITS)
+    command.set_defaults(run=run)
+    command.add_argument(
+        "--onnx", metavar="FILE.onnx", required=True,
+        help="written: the network from a 128 x 128 crop to its semantic map; its metadata say what goes in and out",
+    )  # fmt: skip
+    command.add_argument(
+        "--segmenter", metavar="NAME", default=DEFAULT_SEGMENTER,
+        help="pix2pix, the shipped network, or a weights.safetensors that training wrote (default: %(default)s)",
+    )  # fmt: skip
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the command; returns its exit code. Raises SonarjaxError for input that cannot be used."""
+    check_outputs({"--onnx": args.onnx}, (args.segmenter,))
+    start_jax()
+    from sonarjax.segment import export_onnx, load_segmenter
+
+    export_onnx(args.onnx, load_segmenter(args.segmenter))
+    say(f"{args.onnx}: image (batch, 128, 128) -> semantic (batch, 128, 128)")
+    return 0

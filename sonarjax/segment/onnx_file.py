@@ -1,0 +1,102 @@
+"""A segmenter's network as an ONNX file, for users without JAX: a 128 × 128 crop in, its semantic map out.
+
+What is exported is the network alone. Cutting a frame into crops and joining the answers stays with the user
+(docs/export.md has it in NumPy); the closer look at each object is not exported.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import os
+from typing import Any
+
+from sonarjax.data import PATCH
+from sonarjax.io.atomic import write_atomic
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.segment.onnx_graph import IR_VERSION, OPSET, Graph, add_generator
+from sonarjax.segment.segmenters import Segmenter
+
+CROP_IN = (
+    "image: float32 (batch, 128, 128), grey in [0, 1]; axis 1 is range, near to far, axis 2 the beams in ascending "
+    "azimuth. A part of a frame, at most `tile` (range bins, beams) large, resampled linearly to 128 x 128"
+)
+SEMANTIC_OUT = "semantic: float32 (batch, 128, 128), shadow 0, background 0.5, highlight 1"
+CLASSES_OUT = "probabilities: float32 (batch, 3, 128, 128) in the order of `labels`"
+
+
+def export_onnx(path: str | os.PathLike[str], segmenter: Segmenter) -> None:
+    """Write the network of a segmenter as an ONNX file; all or nothing, the same bytes each time.
+
+    Input `image` (batch, 128, 128) in [0, 1], any batch. Output `semantic` (batch, 128, 128): shadow 0, background 0.5,
+    highlight 1; of a network with three classes also `probabilities` (batch, 3, 128, 128) of background, highlight and
+    shadow. The file's metadata say all that, and hold `tile`, `threshold` and `labels`.
+
+    Raises SonarjaxError when the segmenter has no network, the package `onnx` is missing, or the file cannot be
+    written.
+    """
+    data = onnx_model(segmenter).SerializeToString(deterministic=True)
+    write_atomic(path, lambda file: file.write(data))
+
+
+def onnx_model(segmenter: Segmenter) -> Any:
+    """The `onnx.ModelProto` that `export_onnx` writes, checked by `onnx`. Raises SonarjaxError as that does."""
+    if segmenter.weights is None:
+        raise SonarjaxError(f"segmenter: {segmenter.name!r} has no network to export: expected pix2pix or weights")
+    try:
+        import onnx
+        from onnx import TensorProto, helper
+    except ImportError as error:
+        raise SonarjaxError("export: needs the package onnx: pip install 'sonarjax[onnx]'") from error
+    module, graph = segmenter.weights.module, Graph()
+    output = add_generator(graph, module, segmenter.weights.variables, "image")
+    outputs: dict[str, tuple[Any, ...]] = {"semantic": ("batch", *PATCH)}
+    if module.head == "classes":
+        _add_classes(graph, output)
+        outputs["probabilities"] = ("batch", 3, *PATCH)
+    else:
+        _add_grey(graph, output)
+
+    def value(name: str, shape: tuple[Any, ...]) -> Any:
+        return helper.make_tensor_value_info(name, TensorProto.FLOAT, shape)
+
+    whole = helper.make_graph(
+        graph.nodes, "sonarjax_segmenter", [value("image", ("batch", *PATCH))],
+        [value(*item) for item in outputs.items()], graph.constants,
+    )  # fmt: skip
+    model = helper.make_model(
+        whole, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION, producer_name="sonarjax"
+    )
+    helper.set_model_props(model, _about(segmenter, list(outputs)))
+    onnx.checker.check_model(model, full_check=True)
+    return model
+
+
+def _add_classes(graph: Graph, logits: str) -> None:
+    """The probabilities, and as grey that of highlight less that of shadow, as `generator.to_grey` has it."""
+    graph.node("Softmax", logits, axis=1, result="probabilities")
+    weights = graph.constant([[[[0.0]], [[0.5]], [[-0.5]]]])
+    grey = graph.node("ReduceSum", graph.node("Mul", "probabilities", weights), graph.shape(1), keepdims=0)
+    graph.node("Add", grey, 0.5, result="semantic")
+
+
+def _add_grey(graph: Graph, output: str) -> None:
+    """Grey in [0, 1] of the one channel."""
+    grey = graph.node("Squeeze", graph.node("Tanh", output), graph.shape(1))
+    graph.node("Mul", graph.node("Add", grey, 1.0), 0.5, result="semantic")
+
+
+def _about(segmenter: Segmenter, outputs: list[str]) -> dict[str, str]:
+    """The file's metadata: texts, and JSON where a program will read them."""
+    said = [SEMANTIC_OUT, *([CLASSES_OUT] if "probabilities" in outputs else [])]
+    return {
+        "segmenter": os.path.basename(segmenter.name),
+        "input": CROP_IN,
+        "output": "; ".join(said),
+        "crop": json.dumps(PATCH),
+        "tile": json.dumps(segmenter.tile),
+        "labels": json.dumps(["background", "highlight", "shadow"]),
+        "threshold": json.dumps(segmenter.threshold),
+        "threshold_is": "least correlation (eq. 5) of a matched template with the semantic map of an identified target",
+        "sonarjax": importlib.metadata.version("sonarjax"),
+    }
