@@ -1,4 +1,4 @@
-"""Frames of a data set as a jitted function of a seed and their numbers: what a device stores, and what is in it."""
+"""Frames of a data set as a jitted function of a key and their numbers: what a device stores, and what is in it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt8
 
-from sonarjax.data.layout import Layout, Limits, draw_layout, join_layout
+from sonarjax.data.layout import Limits, draw_layout, join_layout
 from sonarjax.engine import Engine
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.render import RenderQuality, SonarFrame, Window
@@ -75,17 +75,17 @@ class Drawn(NamedTuple):
 
 
 def draw_chunk(
-    meshes: Mesh, sonar: Sonar, limits: Limits, seed: int, chunk: int, settings: FrameSettings, engine: Engine
+    meshes: Mesh, sonar: Sonar, limits: Limits, chunk: int, settings: FrameSettings, engine: Engine, *, key: np.ndarray
 ) -> Drawn:
-    """The frames `chunk` · CHUNK and on of `seed`, as NumPy arrays; a frame is the same whatever is drawn beside it.
+    """The frames `chunk` · CHUNK and on, as NumPy arrays; a frame is the same whatever is drawn beside it.
 
-    `meshes` (mesh, ...) are those of `stack_meshes`. Raises SonarjaxError when a slice crosses more triangles than
+    `meshes` (mesh, ...) are those of `stack_meshes`, `key` is a key's data. Raises SonarjaxError when a slice crosses more triangles than
     there can be room for.
     """
     numbers = np.uint32(chunk * CHUNK) + np.arange(CHUNK, dtype=np.uint32)
     found: Drawn | None = None
     for room in ROOMS:
-        args = (meshes, sonar, jnp.asarray(limits, jnp.float32), np.uint32(seed), numbers)
+        args = (meshes, sonar, jnp.asarray(limits, jnp.float32), key, numbers)
         drawn = Drawn(*(np.asarray(v) for v in engine.run(_draw_frames, *args, settings=settings, room=room)))
         # A frame keeps the least room that is enough, however much its neighbours need.
         found = drawn if found is None else _filled(found, drawn)
@@ -107,9 +107,9 @@ def _filled(found: Drawn, drawn: Drawn) -> Drawn:
 
 @partial(jax.jit, static_argnames=("settings", "room"))
 def _draw_frames(
-    meshes: Mesh, sonar: Sonar, limits: Array, seed: Array, numbers: Array, settings: FrameSettings, room: int
+    meshes: Mesh, sonar: Sonar, limits: Array, key: Array, numbers: Array, settings: FrameSettings, room: int
 ) -> tuple[Array, ...]:
-    root = jax.random.key(seed)
+    root = jax.random.wrap_key_data(key)
     at_once = None if jax.default_backend() == "cpu" else len(numbers)
 
     def one(number: Array) -> tuple[Array, ...]:
@@ -161,8 +161,3 @@ def _draw_model(settings: FrameSettings, *, key: Array) -> SensorModel:
     draw = SensorModel.draw if settings.sensor == "drawn" else SensorModel.draw_wide
     return draw(key=key, severity=settings.severity)
 
-
-def object_layout(drawn: Drawn, frame: int) -> Layout:
-    """The layout of one of the frames."""
-    x, y, yaw = drawn.pose[frame].T
-    return Layout(jnp.asarray(drawn.mesh[frame]), Pose(x, y, yaw), jnp.asarray(drawn.there[frame]))
