@@ -82,13 +82,14 @@ def draw_layout(meshes: Mesh, sonar: Sonar, limits: Limits, scenes: int, *, key:
     How many is drawn evenly. An object that finds no place in `TRIES` is left out. Overlap is judged by the vertical
     cylinders around the objects' origins, so that it is ruled out whatever their yaw.
     """
-    count_key, *keys = jax.random.split(key, scenes + 1)
-    wanted = jax.random.randint(count_key, (), 1, scenes + 1)
+    many = meshes.vertices.shape[0]
+    numbers = jax.random.uniform(key, (scenes + 1, 2 + 2 * TRIES))  # at once: each draw of its own compiles for long
+    wanted = 1 + jnp.floor(scenes * numbers[-1, 0])
     objects: list[tuple[Array, ...]] = []
-    for number, own in enumerate(keys):
-        which, spin, place = jax.random.split(own, 3)
-        mesh = jax.random.randint(which, (), 0, meshes.vertices.shape[0])
-        share = jax.random.uniform(place, (2, TRIES))
+    for number in range(scenes):
+        mesh = jnp.minimum(jnp.floor(many * numbers[number, 0]).astype(jnp.int32), many - 1)
+        yaw = 2 * math.pi * numbers[number, 1]
+        share = numbers[number, 2:].reshape(2, TRIES)
         slant = limits.near + (limits.far - limits.near) * share[0]
         azimuth = limits.left + (limits.right - limits.left) * share[1]
         x, y = floor_point(slant, azimuth, sonar)
@@ -97,7 +98,6 @@ def draw_layout(meshes: Mesh, sonar: Sonar, limits: Limits, scenes: int, *, key:
             apart = jnp.hypot(x - other_x, y - other_y) > radius + meshes.radius[mesh] + GAP_M
             free &= apart | ~there
         best = jnp.argmax(free)
-        yaw = jax.random.uniform(spin, maxval=2 * math.pi)
         objects.append((mesh, x[best], y[best], yaw, meshes.radius[mesh], free[best]))
     mesh, x, y, yaw, _, there = (jnp.stack(v) for v in zip(*objects, strict=True))
     order = jnp.argsort(~there)  # stable: what is there first

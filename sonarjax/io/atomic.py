@@ -7,6 +7,7 @@ about, and the error is a SonarjaxError of one line.
 from __future__ import annotations
 
 import contextlib
+import io
 import os
 import secrets
 import stat
@@ -82,7 +83,7 @@ def write_npz(path: PathLike, /, **arrays: np.ndarray) -> None:
     write_atomic(path, lambda file: zip_arrays(file, plain))
 
 
-def zip_arrays(file: IO[bytes], arrays: dict[str, np.ndarray]) -> None:
+def zip_arrays(file: IO[bytes] | io.BytesIO, arrays: dict[str, np.ndarray]) -> None:
     """Write arrays of numbers (any shape) into an open file as a compressed NPZ."""
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
         for key, value in arrays.items():
