@@ -5,7 +5,7 @@ Host functions such as `template_bank` and `Recognizer` run their compiled parts
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 
@@ -22,6 +22,15 @@ class Engine:
     def map(self, function: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
         """[function(item) for item in items]."""
         return [function(item) for item in items]
+
+    def stream(
+        self, function: Callable[[Any, Any, Engine], Any], shared: Any, items: Iterable[Any]
+    ) -> Iterator[Any]:
+        """`function(shared, item, engine)` of each item in order, few at a time: the memory does not grow with them.
+
+        `function` stands in a module, for an engine may run it in another process; `engine` is that of the process.
+        """
+        return (function(shared, item, self) for item in items)
 
 
 PLAIN = Engine()

@@ -1,4 +1,4 @@
-"""The command `sonarjax`: render, segment, recognize, calibrate, train, info, convert, export; returns an exit code.
+"""The command `sonarjax`: render, recognize, segment, calibrate, dataset, train and more; returns an exit code.
 
 Exit codes: 0 done, identified or not; 1 a frame could not be read (the batch goes on); 2 arguments, mesh, TOML or
 output that cannot be used; 130 interrupted. A wrong input gives one line on stderr. What only one command needs, such
@@ -11,7 +11,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 
-from sonarjax.cli import calibrate, convert, export, info, recognize, render, segment, train
+from sonarjax.cli import calibrate, convert, dataset, export, info, recognize, render, segment, train
 from sonarjax.cli.arguments import Parser
 from sonarjax.io import SonarjaxError, complain, silence_stdout
 
@@ -45,6 +45,6 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = Parser(prog="sonarjax", description="Imaging-sonar simulation and recognition of objects with their yaw.")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for command in (render, segment, recognize, calibrate, train, info, convert, export):
+    for command in (render, segment, recognize, calibrate, dataset, train, info, convert, export):
         command.add(commands)
     return parser

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
+CLUSTER_HELP = "share the work among Dask workers: a scheduler's ADDRESS, or local[:N] for N processes here"
 Lazy = Any  # a type of a module that is imported inside the function: the docstring names it
 
 
@@ -43,3 +45,20 @@ def start_jax() -> None:
     from sonarjax import cpu
 
     cpu.tune()
+
+
+@contextmanager
+def engine_of(cluster: str | None) -> Iterator[Lazy]:
+    """The engine of a command: this machine's `CpuEngine`, or a `ClusterEngine` of the Dask workers at `cluster`.
+
+    Raises SonarjaxError when there is no such cluster, or the package for it is missing.
+    """
+    if cluster is None:
+        from sonarjax.cpu import CpuEngine
+
+        yield CpuEngine()
+        return
+    from sonarjax.cluster import connect
+
+    with connect(cluster) as engine:
+        yield engine

@@ -1,16 +1,20 @@
 """Labelled training pairs made by the simulator (§3.1): random objects and views, cropped to 128 × 128.
 
 `make_pairs(count, key=split_key(run_seed, "train"))` draws them from a key; `export_pairs` and `import_pairs` keep them
-as PNG files. `cut_box` and `paste_patch` are the resampling that training and inference share.
+as PNG files. `make_dataset` writes whole frames with instance masks, boxes and poses. `cut_box` and `paste_patch` are the resampling that training and inference share.
 """
 
 from sonarjax.data.crops import PATCH, Box, cut_box, cut_labels, draw_box, paste_patch
+from sonarjax.data.dataset import make_dataset
 from sonarjax.data.folder import export_pairs, import_pairs
+from sonarjax.data.formats import FORMATS
+from sonarjax.data.frames import SENSORS, FrameSettings
 from sonarjax.data.objects import Shape, draw_shape
 from sonarjax.data.pairs import Pairs, PairSettings, draw_pair, make_pairs, paper_pairs, split_key
 from sonarjax.data.views import View, draw_view
 
 __all__ = [
-    "Box", "PATCH", "PairSettings", "Pairs", "Shape", "View", "cut_box", "cut_labels", "draw_box", "draw_pair",
-    "draw_shape", "draw_view", "export_pairs", "import_pairs", "make_pairs", "paper_pairs", "paste_patch", "split_key",
+    "Box", "FORMATS", "FrameSettings", "PATCH", "PairSettings", "Pairs", "SENSORS", "Shape", "View", "cut_box",
+    "cut_labels", "draw_box", "draw_pair", "draw_shape", "draw_view", "export_pairs", "import_pairs", "make_dataset",
+    "make_pairs", "paper_pairs", "paste_patch", "split_key",
 ]  # fmt: skip

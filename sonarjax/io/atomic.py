@@ -7,6 +7,7 @@ about, and the error is a SonarjaxError of one line.
 from __future__ import annotations
 
 import contextlib
+import io
 import os
 import secrets
 import stat
@@ -79,10 +80,11 @@ def write_npz(path: PathLike, /, **arrays: np.ndarray) -> None:
     for key, value in plain.items():
         if value.dtype.hasobject:
             raise SonarjaxError(f"{os.fspath(path)}: {key}: expected an array of numbers, got Python objects")
-    write_atomic(path, lambda file: _zip_arrays(file, plain))
+    write_atomic(path, lambda file: zip_arrays(file, plain))
 
 
-def _zip_arrays(file: IO[bytes], arrays: dict[str, np.ndarray]) -> None:
+def zip_arrays(file: IO[bytes] | io.BytesIO, arrays: dict[str, np.ndarray]) -> None:
+    """Write arrays of numbers (any shape) into an open file as a compressed NPZ."""
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
         for key, value in arrays.items():
             info = zipfile.ZipInfo(f"{key}.npy")  # its fixed date keeps the bytes reproducible

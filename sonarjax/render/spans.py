@@ -72,13 +72,14 @@ class Spans(NamedTuple):
         return jnp.arange(self.ends.tau.shape[1]) < 2 * self.echo_spans.shape[1]
 
 
-def max_items(crossings: int, by_facet: bool = False) -> tuple[int, int]:
+def max_items(crossings: int, by_facet: bool = False, objects: int = 0) -> tuple[int, int]:
     """How many echo spans, and how many occluded spans, a slice keeps; further ones are joined to the last.
 
-    A echo span shows at least a triangle or two, a body that stands alone more; `by_facet` one is enough.
+    A echo span shows at least a triangle or two, a body that stands alone more; `by_facet` one is enough. Where spans
+    are told apart by object, each of the `objects` may end one more.
     """
     echo_spans = crossings if by_facet else crossings // 3
-    return max(2, min(echo_spans, MOST_ITEMS)), max(2, min(crossings // 4, MOST_ITEMS))
+    return max(2, min(echo_spans, MOST_ITEMS)) + objects, max(2, min(crossings // 4, MOST_ITEMS)) + objects
 
 
 def interval_range(line: Float[Array, "*#batch 2"], tau: Float[Array, "*#batch"]) -> Float[Array, "*batch"]:
@@ -95,10 +96,12 @@ def find_spans(
     items: tuple[int, int],
     sampled: bool,
     by_facet: Bool[Array, ""] | bool = False,
+    owner: Int[Array, "slab interval"] | None = None,
 ) -> Spans:
     """Chains of visible intervals; `table` holds the candidates' triangle ids, `lit` the intervals that give highlight.
 
-    Echo spans also end where the surface bends sharply if they are `by_facet`: each then is about equally bright.
+    Echo spans also end where the surface bends sharply if they are `by_facet`: each then is about equally bright. With
+    `owner`, the object that each interval shows, no span is of two objects.
 
     Between neighbouring intervals of a `sampled` profile others were passed over: a step in range that the slopes of
     the two explain is then no gap.
@@ -114,8 +117,9 @@ def find_spans(
         normal = _normal(line)
         before = jnp.pad(normal[:, :-1], ((0, 0), (1, 0), (0, 0)))
         goes_on &= ((normal * before).sum(-1) > SMOOTH_COSINE) | ~jnp.asarray(by_facet)
-    echo_span = _chain(shown, shown & ~goes_on, items[0])
-    occluded_span = _chain(solid, solid & ~_previous(solid), items[1])
+    same_object = jnp.asarray(True) if owner is None else owner == _previous(owner)
+    echo_span = _chain(shown, shown & ~(goes_on & same_object), items[0])
+    occluded_span = _chain(solid, solid & ~(_previous(solid) & same_object), items[1])
     perpendicular_tau = line[..., 1] / jnp.maximum(line[..., 0], 1e-9)
     at_perpendicular = (perpendicular_tau > intervals.tau[..., 0]) & (perpendicular_tau < intervals.tau[..., 1])
     perpendicular_range = jnp.where(at_perpendicular, jax.lax.rsqrt((line**2).sum(-1) + 1e-12), jnp.inf)

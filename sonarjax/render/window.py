@@ -67,10 +67,23 @@ def in_sonar_frame(mesh: Mesh, pose: Pose, sonar: Sonar) -> Scene:
     return Scene((pose.to_ground(mesh.vertices) - head) @ rotation, mesh.faces, view)
 
 
+class Objects(NamedTuple):
+    """Which of several objects in one mesh each of its triangles belongs to."""
+
+    owner: Int[Array, "face"]
+    """Number of the object, from 0."""
+    count: int
+    """How many there are."""
+
+
 def find_visible(
-    mesh: Mesh, scene: Scene, slabs: Slabs, sonar: Sonar, elevations: int, by_facet: Bool[Array, ""] | bool = False
-) -> VisibleProfile:
-    """The visible profile in the middle of each slab (none of it with a gradient); `by_facet` as in `find_spans`."""
+    mesh: Mesh, scene: Scene, slabs: Slabs, sonar: Sonar, elevations: int, by_facet: Bool[Array, ""] | bool = False,
+    objects: Objects | None = None,
+) -> VisibleProfile:  # fmt: skip
+    """The visible profile in the middle of each slab (none of it with a gradient); `by_facet` as in `find_spans`.
+
+    With `objects`, no span is of two of them.
+    """
     fixed = stop_gradient(scene)
     azimuth = stop_gradient(slabs.middle)
     seen = front_faces(fixed.vertices, fixed.faces, mesh.closed)
@@ -87,8 +100,11 @@ def find_visible(
         if sonar.highlight_max_incidence < 90.0:
             cosine = incidence_cosine(intervals, segments, corners_of(fixed, table), azimuth)
             lit = lit_intervals(cosine, sonar.highlight_max_incidence)
-        items = max_items(mesh.crossings, by_facet is not False)
-        return find_spans(intervals, segments, table, lit, items, is_sampled(segments), by_facet)
+        items = max_items(mesh.crossings, by_facet is not False, 0 if objects is None else objects.count)
+        owner = None
+        if objects is not None:
+            owner = objects.owner[jnp.take_along_axis(table, jnp.maximum(intervals.winner, 0), axis=1)]
+        return find_spans(intervals, segments, table, lit, items, is_sampled(segments), by_facet, owner)
 
     segments = materialised(cut_slabs, azimuth, table)
     intervals = visible_intervals(segments, mesh.intersecting, elevations)
@@ -101,14 +117,31 @@ def render_window(mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, quality:
 
     Layers that are not used cost nothing under `jax.jit`.
     """
+    return render_objects(mesh, None, pose, sonar, window, quality)[0]
+
+
+class ObjectLayers(NamedTuple):
+    """What each of several objects shows, and hides, in one frame: what another one hides of it is not there."""
+
+    highlight: Float[Array, "object range beam"]
+    """As in `SonarFrame`, of first hits of this object."""
+    shadow: Float[Array, "object range beam"]
+    """As in `SonarFrame`: floor that this object is the first to hide."""
+
+
+def render_objects(
+    mesh: Mesh, objects: Objects | None, pose: Pose, sonar: Sonar, window: Window, quality: RenderQuality
+) -> tuple[SonarFrame, ObjectLayers | None]:
+    """As `render_window`, and what each of the `objects` in the mesh adds to highlight and shadow."""
     elevations = quality.elevations
     rows, columns = window.shape
     scene = in_sonar_frame(mesh, pose, sonar)
     slabs = _slabs_of(mesh, scene, sonar, window, quality.sub_beams)
-    visible = find_visible(mesh, scene, slabs, sonar, elevations)
+    visible = find_visible(mesh, scene, slabs, sonar, elevations, objects=objects)
     edges, azimuth = _edges_of(sonar, window), _columns(jnp.asarray(sonar.azimuth), window.column, columns)
     echo_spans, occluded_spans = _swept_ends(visible.spans, slabs, scene, sonar, edges)
-    highlight = _per_beam(slabs, covered(*_pulsed(*echo_spans, sonar), visible.spans.echo_spans, rows))
+    echo_spans = _pulsed(*echo_spans, sonar)
+    highlight = _per_beam(slabs, covered(*echo_spans, visible.spans.echo_spans, rows))
     shadow = _per_beam(slabs, covered(*occluded_spans, visible.spans.occluded_spans, rows))
     ends = all_ends(visible.intervals, visible.segments, visible.table)
     echo = _per_beam(slabs, object_energy(ends, slabs, scene, sonar, elevations, edges, mesh.reflectivity))
@@ -116,7 +149,19 @@ def render_window(mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, quality:
     bare = floor_energy(azimuth, scene, sonar, edges) * floor
     lit = (floor_lit(azimuth, scene, edges) & floor) | (highlight > 0.5)
     intensity = jnp.maximum(echo, 0.0) + bare * jnp.maximum(1 - shadow, 0.0)
-    return SonarFrame(intensity, highlight, shadow, lit, visible.overflow, sonar)
+    frame = SonarFrame(intensity, highlight, shadow, lit, visible.overflow, sonar)
+    if objects is None:
+        return frame, None
+    spans, n_echo, n_occluded = visible.spans, visible.spans.echo_spans.shape[1], visible.spans.occluded_spans.shape[1]
+    owner = objects.owner[jnp.maximum(spans.ends.surface, 0)]
+    of_echo, of_occluded = owner[:, :n_echo], owner[:, 2 * n_echo : 2 * n_echo + n_occluded]
+
+    def layers(number: Array) -> ObjectLayers:
+        shown = covered(*echo_spans, spans.echo_spans & (of_echo == number), rows)
+        hidden = covered(*occluded_spans, spans.occluded_spans & (of_occluded == number), rows)
+        return ObjectLayers(_per_beam(slabs, shown), _per_beam(slabs, hidden))
+
+    return frame, jax.lax.map(layers, jnp.arange(objects.count))
 
 
 class EchoLayers(NamedTuple):

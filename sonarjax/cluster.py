@@ -1,0 +1,128 @@
+"""Work shared among the workers of a Dask cluster: optional, and used by entry points alone (extra `cluster`).
+
+`connect("local:4")` or `connect("tcp://host:8786")` gives an engine whose `stream` runs in other processes. Results
+come in the order of the items and are those of one process; what a killed worker was at is done again by another.
+Workers need the same packages; no file system needs to be shared, for arguments and results travel through Dask.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from functools import cache
+from itertools import islice
+from typing import Any
+
+from sonarjax.cpu import CpuEngine, cores, tune
+from sonarjax.engine import Engine
+from sonarjax.io.errors import SonarjaxError
+
+DEATHS = 1000
+"""Workers that one item may see die before it is given up: they may be killed for reasons of their own."""
+CONNECT_S = 10
+"""How long a scheduler is waited for [s]."""
+AHEAD = 2
+"""Items that are under way for each thread of the workers."""
+
+
+class ClusterEngine(CpuEngine):
+    """Streams over the workers of a cluster; all else runs here, as with `CpuEngine`."""
+
+    def __init__(self, client: Any) -> None:
+        """`client` is a distributed.Client."""
+        super().__init__()
+        self.client = client
+
+    def stream(
+        self, function: Callable[[Any, Any, Engine], Any], shared: Any, items: Iterable[Any]
+    ) -> Iterator[Any]:
+        """As `Engine.stream`; the first item alone, since its worker compiles for the others on its machine.
+
+        Raises what `function` raises, and SonarjaxError when the scheduler is gone, or has no worker for too long.
+        """
+        from distributed import CancelledError, KilledWorker
+
+        # A task, not data that is handed out: Dask makes it again where a killed worker held it.
+        kept = self.client.submit(_same, shared, pure=False)
+        rest = iter(items)
+
+        def start(item: Any) -> tuple[Any, Any]:
+            return item, self.client.submit(_on_worker, function, kept, item, pure=False)
+
+        waiting = deque(start(item) for item in islice(rest, 1))
+        first = True
+        while waiting:
+            item, future = waiting.popleft()
+            for _ in range(DEATHS):
+                try:
+                    done = future.result()
+                    break
+                except KilledWorker:  # the scheduler has given it up, we have not
+                    kept = self.client.submit(_same, shared, pure=False)
+                    future = start(item)[1]
+                except CancelledError as error:
+                    raise SonarjaxError("--cluster: the scheduler is gone, or has dropped the work") from error
+            else:
+                raise SonarjaxError(f"--cluster: {DEATHS} workers died at one item: expected workers that live")
+            room = AHEAD * max(1, sum(self.client.nthreads().values())) if first else 1
+            first = False
+            waiting.extend(start(one) for one in islice(rest, room))
+            yield done
+
+
+def _same(value: Any) -> Any:
+    return value
+
+
+def _on_worker(function: Callable[[Any, Any, Engine], Any], shared: Any, item: Any) -> Any:
+    """On a worker: `function(shared, item, engine)` with the worker's own engine."""
+    return function(shared, item, _own_engine())
+
+
+@cache
+def _own_engine() -> CpuEngine:
+    tune()  # before JAX computes anything in this process
+    return CpuEngine()
+
+
+@contextmanager
+def connect(address: str) -> Iterator[ClusterEngine]:
+    """An engine on the cluster at `address`: a scheduler's, the path of its file (*.json), or `local[:N]`.
+
+    `local` starts N worker processes (default: one for each core) and ends them. Raises SonarjaxError when `address`
+    is none of these, nobody answers there, or the package `distributed` is missing.
+    """
+    try:
+        import dask
+        from distributed import Client, LocalCluster
+    except ImportError as error:
+        raise SonarjaxError("--cluster: needs Dask: pip install 'sonarjax[cluster]'") from error
+    match = re.fullmatch(r"local(?::([0-9]{1,4}))?", address)
+    if match is None and not re.fullmatch(r"[a-z]+://\S+|\S+:[0-9]+|.+\.json", address):
+        raise SonarjaxError(
+            f"--cluster: expected local, local:N, a scheduler's address such as tcp://host:8786, or its file "
+            f"scheduler.json, got {address!r}"
+        )
+    workers = int(match[1]) if match and match[1] else cores()
+    if workers < 1:
+        raise SonarjaxError("--cluster: expected local:N with N of 1 or more")
+    with dask.config.set({"distributed.scheduler.allowed-failures": DEATHS, "distributed.logging.distributed": "error"}):
+        if match:
+            with (
+                LocalCluster(
+                    n_workers=workers, threads_per_worker=1, dashboard_address=None, memory_limit=0, silence_logs=50
+                ) as cluster,
+                Client(cluster) as client,
+            ):
+                yield ClusterEngine(client)
+            return
+        where = {"scheduler_file": address} if address.endswith(".json") else {"address": address}
+        try:
+            client = Client(timeout=CONNECT_S, **where)
+        except (OSError, ValueError, TimeoutError) as error:
+            reason = " ".join(str(error).split())[:120]
+            raise SonarjaxError(f"--cluster: no scheduler answers at {address}: {reason}") from error
+        with client:
+            yield ClusterEngine(client)

@@ -1,0 +1,129 @@
+"""The card of a data set: what is in it, how it was made, and a contact sheet of its first frames."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import UInt8
+from PIL import Image
+
+from sonarjax.data.formats import CLASSES, Axes, Item
+from sonarjax.data.frames import CHUNK
+
+SHOWN, ACROSS = 8, 4
+"""Frames on the contact sheet, and how many in a row."""
+LEAST_PIXELS = 256
+"""Pictures of fewer pixels a side are enlarged by a whole number."""
+COLORS = np.array(
+    [[230, 159, 0], [86, 180, 233], [0, 158, 115], [240, 228, 66], [0, 114, 178], [213, 94, 0], [204, 121, 167]]
+)
+"""One for each object in turn: Okabe and Ito's, which the colour-blind can tell apart."""
+SHADE = 0.45
+"""How much darker an object's shadow is than its highlight."""
+UNSTATED = "none stated by whoever made this data set; the meshes' own licences apply to what shows them"
+CONTENTS = {
+    "png": "`images/` the frames, `labels/` 0 shadow, 128 background, 255 highlight, `instances/` 0 background, k the "
+    "k-th object's highlight or shadow",
+    "npz": "`frames/` one NPZ a frame: `image`, `labels` (0 background, 1 highlight, 2 shadow), `instances`, "
+    "`highlight_masks` and `shadow_masks` (object, range, beam), `boxes` (object, highlight and shadow, 4), `mesh`, "
+    "`pose` (x [m], y [m], yaw [rad]), `azimuth_deg`, `range_edges_m`",
+    "coco": "`images/` the frames, `annotations.json` in COCO's form: a box and a mask (run lengths) for each object's "
+    "highlight and for its shadow, `instance` says which belong together",
+    "yolo": "`images/` the frames, `labels/` a line for each box: category, middle and size as shares, `data.yaml` the "
+    "categories (frames are not split: `train` and `val` name the same folder until you change it)",
+}
+
+
+class Summary:
+    """Counts and ranges over all frames, taken in one by one."""
+
+    def __init__(self) -> None:
+        """Of no frame yet."""
+        self.frames = 0
+        self.objects: dict[str, dict[str, int]] = {}
+        self.in_frame: dict[int, int] = {}
+        self.ranges: dict[str, list[float]] = {}
+
+    def add(self, line: dict[str, Any]) -> None:
+        """Take in one frame's line of the manifest."""
+        self.frames += 1
+        count = len(line["objects"])
+        self.in_frame[count] = self.in_frame.get(count, 0) + 1
+        for entry in line["objects"]:
+            own = self.objects.setdefault(entry["mesh"], {"placed": 0} | dict.fromkeys(CLASSES, 0))
+            own["placed"] += 1
+            for name in CLASSES:
+                own[name] += entry[name]["box"] is not None
+            for name in ("x_m", "y_m", "yaw_deg"):
+                self._reach(name, entry[name])
+        for name, value in line["sensor"].items():
+            self._reach(name, value)
+
+    def _reach(self, name: str, value: float) -> None:
+        reach = self.ranges.setdefault(name, [value, value])
+        reach[0], reach[1] = min(reach[0], value), max(reach[1], value)
+
+
+def card_text(facts: dict[str, Any], summary: Summary, axes: Axes) -> str:
+    """README.md of a data set with the settings `facts`."""
+    settings = facts["settings"]
+    shape = len(axes.range_edges_m) - 1, len(axes.azimuth_deg)
+    counts = [
+        f"| {name} | {own['placed']} | {own['highlight']} | {own['shadow']} |"
+        for name, own in sorted(summary.objects.items())
+    ]
+    numbers = ", ".join(f"{frames} with {count}" for count, frames in sorted(summary.in_frame.items()))
+    reached = [f"| {name} | {low:.4g} | {high:.4g} |" for name, (low, high) in summary.ranges.items()]
+    made = [
+        f"- Key {facts['key']}, {settings['sensor']} sensor at severity {settings['severity']:g}, up to "
+        f"{settings['scenes']} objects a frame, {settings['quality']['sub_beams']} parts of a beam, "
+        f"{settings['quality']['elevations']} elevation cells.",
+        *(f"- Mesh {one['name']}: {one['triangles']} triangles, SHA-256 begins {one['sha256']}." for one in
+          facts["meshes"]),
+        "- The sonar is in `sonar.toml`; each frame's objects, poses, boxes and sensor parameters are in "
+        "`manifest.jsonl`.",
+    ]  # fmt: skip
+    return "\n".join([
+        "# Simulated sonar frames", "",
+        f"{summary.frames} frames of {shape[0]} range bins by {shape[1]} beams ({numbers} objects), format "
+        f"{facts['format']}. Made by `sonarjax dataset`: no real frame is among them.", "",
+        f"![The first frames, and what is in them](contact_sheet.png)", "",
+        "Each frame, and beside it what is seen of its objects: highlight in an object's colour, shadow darker.", "",
+        f"Licence: {facts['license'] or UNSTATED}.", "",
+        "## Files", "", CONTENTS[facts["format"]] + ".", "",
+        "Row 0 is the nearest range bin, column 0 the starboard-most beam. A pixel belongs to the class with the "
+        "largest share of it, and to the object with the largest share of that class. Floor outside the vertical "
+        "aperture is background. Boxes are [left, top, width, height] in pixels.", "",
+        "## Counts", "", "| mesh | placed | highlight seen | shadow seen |", "| --- | --- | --- | --- |", *counts, "",
+        "## Settings", "", *made, "",
+        "## Ranges", "", "Least and largest value over the frames: poses, then the sensor model's fields.", "",
+        "| what | least | largest |", "| --- | --- | --- |", *reached, "",
+        f"Frame k depends on the key and k alone; frames are made in chunks of {CHUNK}, of which `parts/` keeps the "
+        "lines.", "",
+    ])  # fmt: skip
+
+
+def contact_sheet(items: Sequence[Item]) -> bytes:
+    """PNG of up to `SHOWN` frames, each beside what is in it; near rows are below, port is on the left."""
+    tiles = [_tile(item) for item in items[:SHOWN]]
+    blank = np.full_like(tiles[0], 255)
+    tiles += [blank] * (-len(tiles) % min(ACROSS, len(tiles)))
+    across = min(ACROSS, len(tiles))
+    sheet = np.vstack([np.hstack(tiles[k : k + across]) for k in range(0, len(tiles), across)])
+    buffer = io.BytesIO()
+    Image.fromarray(sheet).save(buffer, format="PNG")
+    return buffer.getvalue()
+
+
+def _tile(item: Item) -> UInt8[np.ndarray, "row column 3"]:
+    """A frame and what is in it, side by side, with a white frame."""
+    grey = np.repeat(item.image[..., None], 3, axis=2)
+    colour = COLORS[(item.instances.astype(int) - 1) % len(COLORS)]
+    shade = np.where(item.labels == 2, SHADE, 1.0)[..., None]
+    shown = np.where((item.instances > 0)[..., None], colour * shade, grey).astype(np.uint8)
+    scale = [max(1, -(-LEAST_PIXELS // side)) for side in grey.shape[:2]]
+    parts = [np.kron(part[::-1, ::-1], np.ones((*scale, 1), np.uint8)) for part in (grey, shown)]
+    return np.hstack([np.pad(part, ((3, 3), (3, 3), (0, 0)), constant_values=255) for part in parts])

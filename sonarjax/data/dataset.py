@@ -1,0 +1,290 @@
+"""`make_dataset`: a folder of simulated frames and what is in them, for other people's networks.
+
+Frames are made in chunks. A chunk's files are written first, then its part of the manifest, whose presence says that
+the chunk is done: a run that was killed goes on with the chunks that lack theirs, and so does a second process that
+makes another shard. When the last part is there, manifest, annotations and card are made of the parts, line by line.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Array
+
+from sonarjax.data.card import Summary, card_text, contact_sheet
+from sonarjax.data.folder import MANIFEST
+from sonarjax.data.formats import CLASSES, FORMATS, Axes, Files, Item, category, category_names, describe_objects, short
+from sonarjax.data.frames import CHUNK, Drawn, FrameSettings, draw_chunk
+from sonarjax.data.layout import Limits, placement_limits
+from sonarjax.engine import PLAIN, Engine
+from sonarjax.io import SonarjaxError, make_folder, write_atomic, write_text
+from sonarjax.render import check_fits
+from sonarjax.scene import Mesh, stack_meshes
+from sonarjax.sensor import SensorModel
+from sonarjax.sonar import Sonar
+
+SETTINGS, PARTS, SHEET, CARD = "dataset.json", "parts", "contact_sheet.png", "README.md"
+VERSION = 1
+"""Of the folder's layout, and of how frames are drawn from their numbers."""
+MOST_FRAMES = 2**31
+SENSOR_FIELDS = tuple(field.name for field in dataclasses.fields(SensorModel))
+Lines = list[dict[str, Any]]
+
+
+class Plan(NamedTuple):
+    """All that a frame depends on but its number."""
+
+    meshes: Mesh
+    """The meshes as one batch."""
+    sonar: Sonar
+    """What looks."""
+    limits: Limits
+    """Where objects may stand."""
+    axes: Axes
+    """What the pixels mean, and what the meshes are called."""
+    key: np.ndarray
+    """Data of the key."""
+    count: int
+    """Number of frames."""
+    format: str
+    """One of `FORMATS`."""
+    settings: FrameSettings
+    """How frames are made."""
+
+
+class Part(NamedTuple):
+    """A chunk of frames, ready to be written."""
+
+    chunk: int
+    """Its number."""
+    files: Files
+    """Contents by name in the folder."""
+    lines: Lines
+    """What is known of each frame."""
+
+
+def make_dataset(
+    meshes: Mapping[str, Mesh],
+    sonar: Sonar,
+    folder: str | os.PathLike[str],
+    count: int,
+    *,
+    key: Array,
+    format: str = "png",
+    settings: FrameSettings = FrameSettings(),
+    shard: tuple[int, int] = (1, 1),
+    license: str = "",
+    engine: Engine = PLAIN,
+    progress: Callable[[int], object] | None = None,
+) -> bool:
+    """Write `count` frames of `meshes` (by name) in a format of `FORMATS`; True when the data set is complete.
+
+    Frame k depends on `key` and k alone, so that a run which was cut off is taken up, and `shard` (i, n) makes one of n
+    parts of it: together they give the same files as one run. `progress` is told how many frames are done, some of
+    which may have been there already. On a CPU the files are the same byte for byte on the same kind of processor.
+
+    Raises SonarjaxError for settings that cannot be, a mesh larger than the view, a sonar that sees no floor, and a
+    folder that holds anything but the beginning of the same data set.
+    """
+    plan = _plan(meshes, sonar, count, key, format, settings)
+    if not (1 <= shard[0] <= shard[1]):
+        raise SonarjaxError(f"shard: expected I/N with I from 1 to N, got {shard[0]}/{shard[1]}")
+    target = Path(folder)
+    facts = _facts(plan, meshes, license)
+    _take_up(target, facts)
+    sonar.to_toml(target / "sonar.toml")
+    mine = range(shard[0] - 1, _chunks(count), shard[1])
+    told = progress or (lambda frames: None)
+    for part in engine.stream(draw_part, plan, _missing(target, mine, count, told)):
+        for name, content in part.files.items():
+            write_atomic(target / name, lambda file, content=content: file.write(content))
+        write_text(_part(target, part.chunk), "".join(json.dumps(line) + "\n" for line in part.lines))
+        told(len(part.lines))
+    if any(not _part(target, chunk).exists() for chunk in range(_chunks(count))):
+        return False
+    _finish(target, plan, facts)
+    return True
+
+
+def draw_part(plan: Plan, chunk: int, engine: Engine) -> Part:
+    """The frames of a chunk as files and lines. Raises SonarjaxError as `draw_chunk` does."""
+    drawn = draw_chunk(plan.meshes, plan.sonar, plan.limits, chunk, plan.settings, engine, key=plan.key)
+    files, lines, items = Files(), Lines(), []
+    for at, number in enumerate(range(chunk * CHUNK, min((chunk + 1) * CHUNK, plan.count))):
+        items.append(_item(drawn, at, number))
+        own, names = FORMATS[plan.format](items[-1], plan.axes)
+        files |= own
+        sensor = {name: short(float(v)) for name, v in zip(SENSOR_FIELDS, drawn.sensor[at], strict=True)}
+        objects = describe_objects(items[-1], plan.axes)
+        lines.append({"number": number} | names | {"objects": objects, "sensor": sensor})
+    if chunk == 0:
+        files[SHEET] = contact_sheet(items)
+    return Part(chunk, files, lines)
+
+
+def _item(drawn: Drawn, at: int, number: int) -> Item:
+    there = int(drawn.there[at].sum())
+    pictures = drawn.image[at], drawn.labels[at], drawn.instances[at]
+    return Item(number, *pictures, drawn.mesh[at][:there].tolist(), drawn.pose[at][:there].tolist())
+
+
+def _plan(
+    meshes: Mapping[str, Mesh], sonar: Sonar, count: int, key: Array, format: str, settings: FrameSettings
+) -> Plan:
+    if format not in FORMATS:
+        raise SonarjaxError(f"format: expected one of {', '.join(FORMATS)}, got {format!r}")
+    if not 1 <= count <= MOST_FRAMES:
+        raise SonarjaxError(f"count: expected 1 to {MOST_FRAMES} frames, got {count}")
+    if not meshes:
+        raise SonarjaxError("meshes: expected at least one")
+    for name, mesh in meshes.items():
+        check_fits(mesh, sonar, name)
+    azimuth = np.degrees(np.asarray(sonar.azimuth, np.float64))
+    edges = np.linspace(float(sonar.range_min), float(sonar.range_max), sonar.n_ranges + 1)
+    axes = Axes(azimuth, edges, tuple(meshes))
+    data = np.asarray(jax.random.key_data(key))
+    plain = jax.tree.map(lambda v: np.asarray(v, np.float32), sonar)
+    return Plan(
+        stack_meshes(list(meshes.values())), plain, placement_limits(sonar), axes, data, count, format, settings
+    )
+
+
+def _facts(plan: Plan, meshes: Mapping[str, Mesh], license: str) -> dict[str, Any]:
+    """What the folder's settings file says: two runs that agree in it make the same files."""
+    known = [
+        {"name": name, "triangles": _triangles(mesh), "sha256": _digest([mesh.vertices, mesh.faces])}
+        for name, mesh in meshes.items()
+    ]
+    return {
+        "version": VERSION, "format": plan.format, "count": plan.count, "key": plan.key.tolist(), "meshes": known,
+        "sonar": _digest([*jax.tree.leaves(plan.sonar), np.asarray(plan.sonar.shape)]),
+        "settings": dataclasses.asdict(plan.settings), "license": license,
+    }  # fmt: skip
+
+
+def _triangles(mesh: Mesh) -> int:
+    faces = np.asarray(mesh.faces)
+    return int((faces[:, 0] != faces[:, 1]).sum())
+
+
+def _digest(arrays: Iterable[Any]) -> str:
+    digest = hashlib.sha256()
+    for array in arrays:
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()[:16]
+
+
+def _take_up(target: Path, facts: dict[str, Any]) -> None:
+    """Make the folder, or see that it is the same data set. Raises SonarjaxError for any other."""
+    if target.exists() and not target.is_dir():
+        raise SonarjaxError(f"{target}: expected a folder, this is a file")
+    path = target / SETTINGS
+    if path.exists():
+        try:
+            old = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise SonarjaxError(f"{path}: expected the settings of a data set: {error}") from error
+        for name, value in facts.items():
+            if not isinstance(old, dict) or old.get(name) != value:
+                was = old.get(name) if isinstance(old, dict) else None
+                raise SonarjaxError(
+                    f"{target}: holds a data set made otherwise: {name} is {json.dumps(was)}, now "
+                    f"{json.dumps(value)}: expected another folder, or the same settings to go on"
+                )
+        return
+    make_folder(str(target))
+    if any(not name.startswith(".") for name in os.listdir(target)):
+        raise SonarjaxError(f"{target}: expected an empty folder, or one that holds the same data set")
+    for name in (PARTS, "images", "labels", "instances", "frames"):
+        if name in _FOLDERS[facts["format"]]:
+            make_folder(str(target / name))
+    write_text(path, json.dumps(facts, indent=1) + "\n")
+
+
+_FOLDERS = {
+    "png": (PARTS, "images", "labels", "instances"), "npz": (PARTS, "frames"), "coco": (PARTS, "images"),
+    "yolo": (PARTS, "images", "labels"),
+}  # fmt: skip
+
+
+def _chunks(count: int) -> int:
+    return -(-count // CHUNK)
+
+
+def _part(target: Path, chunk: int) -> Path:
+    return target / PARTS / f"{chunk:08d}.jsonl"
+
+
+def _missing(target: Path, chunks: range, count: int, told: Callable[[int], object]) -> Iterator[int]:
+    """The chunks that have no part yet; of the others `told` hears at once."""
+    for chunk in chunks:
+        if _part(target, chunk).exists():
+            told(min((chunk + 1) * CHUNK, count) - chunk * CHUNK)
+        else:
+            yield chunk
+
+
+def _lines(target: Path, count: int) -> Iterator[dict[str, Any]]:
+    """What is known of each frame, in order, one at a time."""
+    for chunk in range(_chunks(count)):
+        with open(_part(target, chunk), encoding="utf-8") as file:
+            for line in file:
+                yield json.loads(line)
+
+
+def _finish(target: Path, plan: Plan, facts: dict[str, Any]) -> None:
+    """Manifest, annotations and card of all parts; what a killed process left half written goes."""
+    for name in _FOLDERS[plan.format]:
+        for left in (target / name).glob(".sonarjax-*.tmp"):  # all frames are there: nobody writes here any more
+            left.unlink(missing_ok=True)
+    summary = Summary()
+
+    def manifest() -> Iterator[str]:
+        for line in _lines(target, plan.count):
+            summary.add(line)
+            line.pop("annotations", None)
+            yield json.dumps(line) + "\n"
+
+    _write_lines(target / MANIFEST, manifest())
+    if plan.format == "coco":
+        _write_lines(target / "annotations.json", _coco(target, plan))
+    if plan.format == "yolo":
+        names = "".join(f"  {k}: {json.dumps(name)}\n" for k, name in enumerate(category_names(plan.axes.names)))
+        write_text(target / "data.yaml", f"path: .\ntrain: images\nval: images\nnames:\n{names}")
+    write_text(target / CARD, card_text(facts, summary, plan.axes))
+
+
+def _write_lines(path: Path, lines: Iterator[str]) -> None:
+    write_atomic(path, lambda file: file.writelines(line.encode() for line in lines))
+
+
+def _coco(target: Path, plan: Plan) -> Iterator[str]:
+    """annotations.json piece by piece; an annotation's number follows from its frame's, its object's and its class."""
+    height, width = plan.sonar.shape
+    categories = [
+        {"id": category(mesh, label), "name": f"{name} {kind}", "supercategory": name}
+        for mesh, name in enumerate(plan.axes.names)
+        for label, kind in enumerate(CLASSES, 1)
+    ]
+    yield f'{{"info": {json.dumps({"description": "made by sonarjax dataset"})},\n'
+    yield f'"categories": {json.dumps(categories)},\n"images": ['
+    for line in _lines(target, plan.count):
+        image = {"id": line["number"] + 1, "file_name": line["image"], "width": width, "height": height}
+        yield f"{',' if line['number'] else ''}\n{json.dumps(image)}"
+    yield '],\n"annotations": ['
+    between = ""
+    for line in _lines(target, plan.count):
+        for entry in line["annotations"]:
+            place = (line["number"] * plan.settings.scenes + entry["instance"] - 1) * len(CLASSES)
+            number = place + (entry["category_id"] - 1) % len(CLASSES) + 1
+            yield f"{between}\n{json.dumps({'id': number} | entry)}"
+            between = ","
+    yield "]}\n"
