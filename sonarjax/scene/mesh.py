@@ -231,8 +231,15 @@ def _check(vertices: np.ndarray, faces: np.ndarray, name: str) -> None:
 
 def _used(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The vertices that triangles refer to, in their order, and the triangles with the new indices."""
-    kept, renumbered = np.unique(faces, return_inverse=True)
-    return vertices[kept], renumbered.reshape(faces.shape)
+    kept = _mentioned(faces, len(vertices))
+    return vertices[kept], (np.cumsum(kept) - 1)[faces]
+
+
+def _mentioned(faces: np.ndarray, count: int) -> np.ndarray:
+    """Which of `count` vertices triangles refer to (vertex,)."""
+    kept = np.zeros(count, bool)
+    kept[faces] = True
+    return kept
 
 
 def _padded(surface: trimesh.Trimesh, closed: bool) -> Mesh:
@@ -250,7 +257,7 @@ def _padded(surface: trimesh.Trimesh, closed: bool) -> Mesh:
 
 def _measured(vertices: np.ndarray, faces: np.ndarray, closed: bool) -> dict[str, Any]:
     """What the renderer must know of a surface beforehand: its extent, and how many triangles slices may meet."""
-    used = vertices[np.unique(faces)]
+    used = vertices[_mentioned(faces, len(vertices))]
     return {
         "radius": jnp.float32(_round_up(float(np.hypot(used[:, 0], used[:, 1]).max()))),
         "top": jnp.float32(_round_up(float(used[:, 2].max()))),
@@ -277,8 +284,9 @@ def _round_up(length: float, step: float = 0.01) -> float:
 def _crease_vertices(surface: trimesh.Trimesh) -> np.ndarray:
     """Vertices (event,) of sharp or open edges, in ascending order."""
     sharp = surface.face_adjacency_edges[surface.face_adjacency_angles > CREASE_ANGLE]
-    unique, counts = np.unique(surface.edges_sorted, axis=0, return_counts=True)
-    return np.unique(np.concatenate([sharp, unique[counts == 1]])).astype(np.int32)
+    edges = surface.edges_sorted
+    once = trimesh.grouping.group_rows(edges, require_count=1)
+    return np.unique(np.concatenate([sharp, edges[once]])).astype(np.int32)
 
 
 def _rounded(bound: int, faces: int) -> int:
