@@ -14,7 +14,7 @@ import numpy as np
 from sonarjax.calibrate import stated_std, yaw_std_of_geometry
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.match import FirstLook, SearchConfig, TargetSearch
+from sonarjax.match import FirstLook, SearchConfig, TargetSearch, leading
 from sonarjax.refine import (
     ERROR_BAR,
     MAP_REFINEMENT,
@@ -176,10 +176,10 @@ class Recognizer:
         self._stated = stated_std(sonar)
         sonar = sonar.replace(geometry_std=None)  # no part of what is rendered: else all would be compiled again
         self.sonar, self.search, self.engine = sonar, search, engine
-        many = len(named) > search.candidates
-        how: dict[str, Any] = {"engine": engine, "compact": many}
+        several = len(named) > 1
+        how: dict[str, Any] = {"engine": engine, "compact": several}
         self.targets = {name: TargetSearch(m, sonar, search, name=name, **how) for name, m in named.items()}
-        self.first_look = FirstLook(list(self.targets.values())) if many else None
+        self.first_look = FirstLook(list(self.targets.values())) if several else None
         self.refine = None if refine is None else _widened(refine, search.yaw_bins)
         self._prepared = False
         self._windows = {name: self._usual_window(search) for name, search in self.targets.items()}
@@ -237,7 +237,7 @@ class Recognizer:
         )
 
     def prepare(self) -> None:
-        """Render now what the first frame would wait for where there are many targets: all of them, coarsely."""
+        """Render now what the first frame of several targets would wait for: all of them, coarsely."""
         if self.first_look is not None:
             self.first_look.prepare()
 
@@ -279,12 +279,12 @@ class Recognizer:
         """
         on_frame = segmented and self.refine is not None and self.segmenter.name != "none"
         pictures = (seen, image) if on_frame else (seen,)
-        names, near = list(self.targets), [dict.fromkeys(self.targets)] * len(pictures)
+        near: list[Mapping[str, Any]] = [dict.fromkeys(self.targets)] * len(pictures)
+        names = list(self.targets)
         if self.first_look is not None:
-            sightings = [self.first_look.best(np.asarray(picture, np.float32), mask) for picture in pictures]
-            height = {name: max(found[name].score for found in sightings) for name in sightings[0]}
-            names = sorted(height, key=lambda name: -height[name])[: self.search.candidates]
-            near = [{name: found[name].index for name in names} for found in sightings]
+            found = [self.first_look.best(np.asarray(picture, np.float32), mask) for picture in pictures]
+            names = leading(found, self.search)
+            near = [{name: sightings[name].index for name in names} for sightings in found]
 
         def look(name: str) -> _Look:
             return _Look(*(locate(self.targets[name], p, mask, at[name]) for p, at in zip(pictures, near, strict=True)))

@@ -7,7 +7,7 @@ templates lie in one box, so that they are compared over the same pixels, and a 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import jax
@@ -16,7 +16,7 @@ import numpy as np
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.match.compact import CompactBank
 from sonarjax.match.low_rank import LowRankBank, low_rank_bank, match_low_rank
-from sonarjax.match.search import TargetSearch, decimated
+from sonarjax.match.search import SearchConfig, TargetSearch, decimated
 from sonarjax.render import template_bank
 
 YAWS = 36
@@ -25,6 +25,12 @@ SLACK_ROWS = 2
 """Coarse range bins beyond the middle between two distances that are searched."""
 SIZE_STEP = 16
 """Boxes are rounded up to so many coarse range bins and beams: few shapes to be compiled."""
+
+
+LEADS = (1.0, 0.5)
+"""Share of `SearchConfig.lead` that counts on the map, and on the frame itself."""
+ALWAYS = 2
+"""Targets that are always looked at closely: the best and a runner-up."""
 
 
 class Sighting(NamedTuple):
@@ -36,6 +42,20 @@ class Sighting(NamedTuple):
     """Number of the distance at which it matched best."""
     score: float
     """Its approximate correlation there."""
+
+
+def leading(found: Sequence[Mapping[str, Sighting]], config: SearchConfig) -> list[str]:
+    """Names of the targets to look at closely, best first: by what was `found` in the map, and in the frame itself.
+
+    See `SearchConfig.candidates` and `lead`, which come from validation frames (experiments/fit_candidates.py).
+    """
+    short = {name: np.inf for name in found[0]}
+    for share, sightings in zip(LEADS, found, strict=False):
+        best = max(one.score for one in sightings.values())
+        short = {name: min(by, (best - sightings[name].score) / share) for name, by in short.items()}
+    height = {name: max(sightings[name].score for sightings in found) for name in short}
+    ordered = sorted(height, key=lambda name: -height[name])[: config.candidates]
+    return [name for k, name in enumerate(ordered) if k < ALWAYS or short[name] <= config.lead]
 
 
 class _Shelf(NamedTuple):

@@ -55,10 +55,13 @@ class SearchConfig:
     """Yaws that are kept for refinement, at most."""
     quality: RenderQuality = RenderQuality(sub_beams=1)
     """How finely templates are rendered."""
-    candidates: int = 6
-    """Of several targets, so many are refined and compared; of more targets, a first look at all finds these."""
+    candidates: int = 8
+    """Of several targets, so many are refined and compared at most: those that a first look at all finds best."""
+    lead: float = 0.1
+    """A target that the first look finds so much worse than the best is none of them: correlation with the map, or half
+    of that with the frame itself. The two best always are."""
     rank: int = 64
-    """Components that stand for all templates at one distance in that first look."""
+    """Components that stand for all targets' templates at one distance in that first look."""
 
     def __post_init__(self) -> None:
         """Raises SonarjaxError for fewer than 4 yaw bins (peaks over yaw need neighbours), or counts below 1."""
@@ -134,6 +137,10 @@ class TargetSearch:
             return best
         again = self._match(closer, False, image, mask)
         return again if again.scores.max() > best.scores.max() else best
+
+    def forget(self) -> None:
+        """Let go of the banks that were rendered so far."""
+        self._banks.clear()
 
     def _in_view(self, index: int, masked: bool) -> int:
         """The distance next to number `index` at which some of the object is in view."""
