@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -14,7 +14,7 @@ import numpy as np
 from sonarjax.calibrate import stated_std, yaw_std_of_geometry
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.match import SearchConfig, TargetSearch
+from sonarjax.match import FirstLook, SearchConfig, TargetSearch, leading
 from sonarjax.refine import (
     ERROR_BAR,
     MAP_REFINEMENT,
@@ -40,7 +40,7 @@ from sonarjax.refine import (
 )
 from sonarjax.render import WindowSize
 from sonarjax.scene import Mesh, Pose
-from sonarjax.segment import DEFAULT_SEGMENTER, Segmenter, load_segmenter
+from sonarjax.segment import DEFAULT_SEGMENTER, IdentificationRule, Segmenter, load_segmenter
 from sonarjax.sonar import Sonar
 
 NEARER = 0.15
@@ -87,9 +87,9 @@ class Recognition:
     threshold: float
     """Least score of an identified target."""
     runner_up: str | None
-    """Name of the target that matches second best; None with a single target."""
+    """Name of the second best target; None with a single target."""
     margin: float | None
-    """`score_bank` minus that of the runner-up; None with a single target."""
+    """`score` minus the runner-up's; None with a single target."""
     yaw_bin: float
     """Yaw of the best template [rad], turned to the bearing at which it was found."""
     yaw: float
@@ -132,6 +132,24 @@ class Recognition:
         return make_yaw_set(yaws, stds, scores, self.scores_by_yaw, self.yaw_bin + bins, YAW_WEIGHTS)
 
 
+class _Look(NamedTuple):
+    """A target's best match on the map, and on the frame itself where that is asked for."""
+
+    in_map: Candidate
+    in_frame: Candidate | None = None
+
+
+class _Judged(NamedTuple):
+    """A target that comes into question: what judges it, its yaws, best first, its place [m] and the evidence."""
+
+    look: _Look
+    score: float
+    hypotheses: tuple[Hypothesis, ...]
+    x: float
+    y: float
+    evidence: dict[str, float] | None
+
+
 class Recognizer:
     """Targets and a sonar, with all that is prepared for them: call it with frames."""
 
@@ -158,7 +176,10 @@ class Recognizer:
         self._stated = stated_std(sonar)
         sonar = sonar.replace(geometry_std=None)  # no part of what is rendered: else all would be compiled again
         self.sonar, self.search, self.engine = sonar, search, engine
-        self.targets = {name: TargetSearch(m, sonar, search, name=name, engine=engine) for name, m in named.items()}
+        several = len(named) > 1
+        how: dict[str, Any] = {"engine": engine, "compact": several}
+        self.targets = {name: TargetSearch(m, sonar, search, name=name, **how) for name, m in named.items()}
+        self.first_look = FirstLook(list(self.targets.values())) if several else None
         self.refine = None if refine is None else _widened(refine, search.yaw_bins)
         self._prepared = False
         self._windows = {name: self._usual_window(search) for name, search in self.targets.items()}
@@ -187,34 +208,38 @@ class Recognizer:
         least = self._threshold(threshold, given is not None)
         self._prepare()
         seen = self.segmenter.semantic(image, mask, self.engine) if given is None else given
-        found = [locate(search, seen, mask) for search in self.targets.values()]
-        found.sort(key=lambda candidate: -candidate.score)
-        best = found[0]
-        in_frame = self._in_frame(best, image, mask) if given is None else None
-        hypotheses, x, y, evidence = self._hypotheses(best, in_frame, image, seen, mask, starts)
-        rule = self.segmenter.rule if given is None else None
-        score = best.score if rule is None or evidence is None else rule.probability(evidence)
+        rule = self.segmenter.rule if given is None and self.refine is not None else None
+        looks = self._looks(image, seen, mask, given is None)
+        judged = self._judged(looks, image, seen, mask, starts, rule)
+        best, second = judged[0], judged[1] if len(judged) > 1 else None
+        found = best.look.in_map
+        hypotheses = tuple(self._with_geometry(one, found.search, image, mask) for one in best.hypotheses)
         return Recognition(
-            identified=score >= least,
-            target=best.search.name,
-            score=score,
-            score_bank=best.score,
+            identified=best.score >= least,
+            target=found.search.name,
+            score=best.score,
+            score_bank=found.score,
             score_refined=hypotheses[0].score if self.refine else None,
             threshold=least,
-            runner_up=found[1].search.name if len(found) > 1 else None,
-            margin=best.score - found[1].score if len(found) > 1 else None,
-            yaw_bin=_wrap(best.yaws[best.match.scores.argmax()]),
+            runner_up=None if second is None else second.look.in_map.search.name,
+            margin=None if second is None else best.score - second.score,
+            yaw_bin=_wrap(found.yaws[found.match.scores.argmax()]),
             yaw=hypotheses[0].yaw,
             yaw_std=hypotheses[0].yaw_std,
-            x=x,
-            y=y,
+            x=best.x,
+            y=best.y,
             converged=hypotheses[0].converged,
-            scores_by_yaw=best.match.scores,
+            scores_by_yaw=found.match.scores,
             hypotheses=hypotheses,
             segmenter=self.segmenter.name if given is None else GIVEN,
             semantic=np.asarray(seen),
-            evidence=evidence,
+            evidence=best.evidence,
         )
+
+    def prepare(self) -> None:
+        """Render now what the first frame of several targets would wait for: all of them, coarsely."""
+        if self.first_look is not None:
+            self.first_look.prepare()
 
     def _usual_window(self, search: TargetSearch) -> WindowSize | None:
         """The window that refinement needs at the nearer distances, the very nearest apart: it does for all beyond."""
@@ -247,31 +272,56 @@ class Recognizer:
             raise SonarjaxError(f"threshold: expected a number beside {what}, there is none for it")
         return float(own if threshold is None else threshold)  # type: ignore[arg-type]
 
-    def _in_frame(self, best: Candidate, image: np.ndarray, mask: np.ndarray | None) -> Candidate | None:
-        """The target's best match on the frame itself: where a segmenter fails, that one may be right."""
-        if self.refine is None or self.segmenter.name == "none":
-            return None
-        return locate(best.search, image, mask)
+    def _looks(self, image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None, segmented: bool) -> list[_Look]:
+        """The targets that come into question, best first, as they match the map and, if refined, the frame itself.
 
-    def _hypotheses(
-        self,
-        best: Candidate,
-        in_frame: Candidate | None,
-        image: np.ndarray,
-        seen: np.ndarray,
-        mask: np.ndarray | None,
-        expected: Sequence[Pose],
-    ) -> tuple[tuple[Hypothesis, ...], float, float, dict[str, float] | None]:
-        """Possible yaws, best first, the place (x, y) [m] of the best (a bin or refined), and what speaks for it."""
+        Where a segmenter fails, the match on the frame may be right.
+        """
+        on_frame = segmented and self.refine is not None and self.segmenter.name != "none"
+        pictures = (seen, image) if on_frame else (seen,)
+        near: list[Mapping[str, Any]] = [dict.fromkeys(self.targets)] * len(pictures)
+        names = list(self.targets)
+        if self.first_look is not None:
+            found = [self.first_look.best(np.asarray(picture, np.float32), mask) for picture in pictures]
+            names = leading(found, self.search)
+            near = [{name: sightings[name].index for name in names} for sightings in found]
+
+        def look(name: str) -> _Look:
+            return _Look(*(locate(self.targets[name], p, mask, at[name]) for p, at in zip(pictures, near, strict=True)))
+
+        return sorted(map(look, names), key=lambda one: -one.in_map.score)
+
+    def _judged(
+        self, looks: Sequence[_Look], image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None,
+        expected: Sequence[Pose], rule: IdentificationRule | None,
+    ) -> list[_Judged]:  # fmt: skip
+        """The targets by what is judged, best first: by the rule where there is one, else as they match the map."""
         if self.refine is None:
-            bins = peak_bins(best.match.scores, best.yaws, self.search.hypotheses)
-            scores = best.match.scores
-            plain = [Hypothesis(_wrap(best.yaws[k]), float(scores[k]), None, x=best.x, y=best.y) for k in bins]
-            return _distinct(plain), best.x, best.y, None
-        starts = make_starts(best, in_frame, seen, image, self.search.hypotheses)
-        matched = len(starts)
+            return [self._unrefined(look) for look in looks]
+        if rule is None:
+            best = next(self._refined(looks[:1], image, seen, mask, expected))
+            others = [self._unrefined(look) for look in looks[1:]]
+            return [best._replace(score=looks[0].in_map.score), *others]
+        judged = [one._replace(score=rule.probability(one.evidence or {}))
+                  for one in self._refined(looks, image, seen, mask, expected)]  # fmt: skip
+        return sorted(judged, key=lambda one: -one.score)
+
+    def _unrefined(self, look: _Look) -> _Judged:
+        found, scores = look.in_map, look.in_map.match.scores
+        bins = peak_bins(scores, found.yaws, self.search.hypotheses)
+        plain = [Hypothesis(_wrap(found.yaws[k]), float(scores[k]), None, x=found.x, y=found.y) for k in bins]
+        return _Judged(look, found.score, _distinct(plain), found.x, found.y, None)
+
+    def _refined(
+        self, looks: Sequence[_Look], image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None,
+        expected: Sequence[Pose],
+    ) -> Iterator[_Judged]:  # fmt: skip
+        """Possible yaws of each look, best first, the place (x, y) [m] of the best, and what speaks for it."""
+        starts = [make_starts(*look, seen, image, self.search.hypotheses) for look in looks]
+        matched = [len(own) for own in starts]
         for pose in expected:
-            starts.append(Start(best._replace(x=float(pose.x), y=float(pose.y)), starts[0].bin, seen, pose))
+            found = looks[0].in_map._replace(x=float(pose.x), y=float(pose.y))
+            starts[0].append(Start(found, starts[0][0].bin, seen, pose))
 
         def refined(start: Start) -> tuple[YawEstimate, Pose, Evidence]:
             assert self.refine is not None
@@ -279,17 +329,11 @@ class Recognizer:
             return refine_start(start, image, seen, mask, self.refine, window, self.engine)
 
         # Each on its own: one that settles early waits for no other.
-        parts = self.engine.map(refined, starts)
-        # Where refinement does not settle, an expected pose is what was expected and not what the frame shows.
-        parts = [part for k, part in enumerate(parts) if k < matched or bool(is_kept(part[0]))]
-        estimate, pose, gathered = jax.tree.map(lambda *values: np.stack([np.asarray(v) for v in values]), *parts)
-        curves = curve_evidence(best, in_frame)
-        hypotheses = _refined(estimate, pose, ERROR_BAR.std(estimate.yaw_std, gathered.left_over, curves["frame_rise"]))
-        order = int(np.argmax([one.score for one in hypotheses]))
-        evidence = {name: float(values[order]) for name, values in vars(gathered).items()}
-        evidence |= curves | {"curvature_std": float(estimate.yaw_std[order])}
-        told = [self._with_geometry(one, best.search, image, mask) for one in _distinct(hypotheses)]
-        return tuple(told), float(pose.x[order]), float(pose.y[order]), evidence
+        parts = iter(self.engine.map(refined, [start for own in starts for start in own]))
+        for look, own, count in zip(looks, starts, matched, strict=True):
+            done = [next(parts) for _ in own]
+            # Where refinement does not settle, an expected pose is what was expected and not what the frame shows.
+            yield _judge(look, [part for k, part in enumerate(done) if k < count or bool(is_kept(part[0]))])
 
     def _with_geometry(
         self, one: Hypothesis, search: TargetSearch, image: np.ndarray, mask: np.ndarray | None
@@ -359,7 +403,19 @@ def _widened(config: RefineConfig, yaw_bins: int) -> RefineConfig:
     return replace(config, bounds=(max(yaw, 2 * math.pi / yaw_bins), x, y))
 
 
-def _refined(estimate: YawEstimate, pose: Pose, stds: np.ndarray) -> list[Hypothesis]:
+def _judge(look: _Look, parts: Sequence[tuple[YawEstimate, Pose, Evidence]]) -> _Judged:
+    """A look's refined starts as hypotheses, with the evidence for the best; what judges them sets the score."""
+    estimate, pose, gathered = jax.tree.map(lambda *values: np.stack([np.asarray(v) for v in values]), *parts)
+    curves = curve_evidence(*look)
+    stds = ERROR_BAR.std(estimate.yaw_std, gathered.left_over, curves["frame_rise"])
+    hypotheses = _hypotheses(estimate, pose, stds)
+    order = int(np.argmax([one.score for one in hypotheses]))
+    evidence = {name: float(values[order]) for name, values in vars(gathered).items()}
+    evidence |= curves | {"curvature_std": float(estimate.yaw_std[order])}
+    return _Judged(look, math.nan, _distinct(hypotheses), float(pose.x[order]), float(pose.y[order]), evidence)
+
+
+def _hypotheses(estimate: YawEstimate, pose: Pose, stds: np.ndarray) -> list[Hypothesis]:
     """A hypothesis for each of the `pose`s that were kept, with its error bar and the score that belongs to it."""
     scores = np.where(is_kept(estimate), np.asarray(estimate.score), np.asarray(estimate.start_score))
     columns = pose.yaw, scores, stds, estimate.converged, pose.x, pose.y

@@ -1,4 +1,4 @@
-"""`sonarjax recognize`: is the target in these frames, and at which yaw?"""
+"""`sonarjax recognize`: is the target in these frames, or which of several is it, and at which yaw?"""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 
 from sonarjax.cli.arguments import EXITS, FRAME_HELP, add_unit, correlation
 from sonarjax.cli.frames import each_frame, start_jax
+from sonarjax.cli.targets import target_files
 from sonarjax.io import JsonLines, SonarjaxError, check_outputs, complain, naming
 from sonarjax.results import SCHEMA, record_of
 from sonarjax.segment import DEFAULT_SEGMENTER, SEGMENTERS
@@ -18,7 +19,10 @@ def add(commands: Any) -> None:
     command = commands.add_parser("recognize", help="is the target in these frames, and at which yaw?", epilog=EXITS)
     command.set_defaults(run=run)
     command.add_argument("frames", metavar="FRAME", nargs="+", help=FRAME_HELP)
-    command.add_argument("--target", metavar="MESH", required=True, help="the object to look for")
+    command.add_argument(
+        "--target", metavar="MESH", required=True, action="append",
+        help="the object to look for; several by giving it again, or a folder of meshes: which of them is it?",
+    )  # fmt: skip
     command.add_argument(
         "--sonar", metavar="S.toml", required=True, help="the sonar and its geometry (overrides a file's header)"
     )
@@ -43,7 +47,10 @@ def add(commands: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the command; returns its exit code. Raises SonarjaxError for input that cannot be used."""
-    check_outputs({"--out": args.out}, (*args.frames, args.target, args.sonar))
+    files = target_files(args.target)
+    check_outputs({"--out": args.out}, (*args.frames, *files.values(), args.sonar))
+    if args.track and len(files) > 1:
+        raise SonarjaxError(f"--track: expected a single --target, got {len(files)} meshes")
     start_jax()
     from sonarjax.cpu import CpuEngine
     from sonarjax.recognize import Recognizer
@@ -55,16 +62,22 @@ def run(args: argparse.Namespace) -> int:
     from sonarjax.track import Standing, Tracker, Turning
 
     check_segmenter(args.segmenter)
-    sonar, mesh = Sonar.from_toml(args.sonar), Mesh.load(args.target, args.unit_m)
-    check_fits(mesh, sonar, args.target)
+    sonar, meshes = Sonar.from_toml(args.sonar), {}
+    for name, file in files.items():
+        meshes[name] = Mesh.load(file, args.unit_m)
+        check_fits(meshes[name], sonar, file)
+    targets = meshes if len(meshes) > 1 else next(iter(meshes.values()))  # a single one is called `target`
     refine = None if args.no_refine else MAP_REFINEMENT
     try:  # a sonar that sees no floor, or too much, is refused before any frame is read
-        recognizer = Recognizer(mesh, sonar, segmenter=args.segmenter, refine=refine, engine=CpuEngine())
+        recognizer = Recognizer(targets, sonar, segmenter=args.segmenter, refine=refine, engine=CpuEngine())
     except SonarjaxError as error:
         raise SonarjaxError(naming(args.sonar, error)) from error
     motion = Turning() if args.motion == "turning" else Standing()
     tracker = Tracker(recognizer, motion, threshold=args.threshold) if args.track else None
     code = 0
+    if len(meshes) > 1:
+        complain(f"preparing {len(meshes)} targets", kind="")
+        recognizer.prepare()
     with JsonLines(args.out) as lines:
         for name, frame in each_frame(args.frames):
             try:

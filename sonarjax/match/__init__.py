@@ -1,11 +1,13 @@
 """Template matching (§2.3): eq. 4 for every yaw bin of a bank at once, eq. 5's decision and the hypotheses over yaw.
 
 Takes a frame or semantic map (range, beam) and a bank of templates (yaw, h, w); returns scores (yaw,), positions and
-records. `TargetSearch` holds the banks of one target at all distances.
+records. `TargetSearch` holds the banks of one target at all distances; `FirstLook` tells which few of many to search.
 """
 
 from sonarjax.match.decision import Decision, Peaks, between_bins, decide, peaks
+from sonarjax.match.first_look import FirstLook, Sighting, leading
 from sonarjax.match.lean import LeanMatch, LeanSearch, LeanSearchConfig
+from sonarjax.match.low_rank import LowRankBank, low_rank_bank, match_low_rank, match_low_rank_closely
 from sonarjax.match.ncc import (
     MatchPositions,
     PreparedBank,
@@ -19,20 +21,27 @@ from sonarjax.match.spectra import TemplateSpectra, template_spectra
 
 __all__ = [
     "Decision",
+    "FirstLook",
     "LeanMatch",
     "LeanSearch",
     "LeanSearchConfig",
+    "LowRankBank",
     "Match",
     "MatchPositions",
     "Peaks",
     "PreparedBank",
     "SearchConfig",
+    "Sighting",
     "TargetSearch",
     "TemplateSpectra",
     "between_bins",
     "correlation_maps",
     "decide",
+    "leading",
+    "low_rank_bank",
     "match_bank",
+    "match_low_rank",
+    "match_low_rank_closely",
     "match_positions",
     "peaks",
     "prepare_bank",

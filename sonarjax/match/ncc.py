@@ -98,7 +98,7 @@ def match_positions(
     of a template over pixels that `mask` leaves out counts as unmatched, and half of its highlight must be measured:
     none can hide there. Errors as there.
     """
-    return _match(image, bank, mask, template_mask, min_valid, _best_position, whole)
+    return _match(image, bank, mask, template_mask, min_valid, best_position, whole)
 
 
 def correlation_maps(
@@ -167,7 +167,7 @@ def _match_plain(image: Array, spectra: TemplateSpectra, reduce: Callable[..., A
     def chunk(planes: Array) -> Any:
         return reduce(correlate(frame, planes, spectra.map_shape) * scale)
 
-    return _per_yaw(over_chunks(chunk, spectra.planes), spectra.yaw_count)
+    return per_template(over_chunks(chunk, spectra.planes), spectra.yaw_count)
 
 
 @partial(jax.jit, static_argnums=(4, 5))
@@ -179,7 +179,7 @@ def _match_masked(
     def chunk(planes: tuple[Array, Array, Array]) -> Any:
         return reduce(masked_maps(frame, *planes, whole))
 
-    return _per_yaw(over_chunks(chunk, (spectra.planes, spectra.squares, spectra.echoes)), spectra.yaw_count)
+    return per_template(over_chunks(chunk, (spectra.planes, spectra.squares, spectra.echoes)), spectra.yaw_count)
 
 
 @partial(jax.jit, static_argnums=5)
@@ -199,10 +199,10 @@ def _match_weighted(
     def chunk(parts: tuple[Array, Array, Array, Array]) -> Any:
         return reduce(weighted_maps(frame, *parts, map_shape, min_valid))
 
-    return _per_yaw(over_chunks(chunk, (planes, squares, weights, pixels)), templates.shape[0])
+    return per_template(over_chunks(chunk, (planes, squares, weights, pixels)), templates.shape[0])
 
 
-def _per_yaw(chunks: Any, yaw_count: int) -> Any:
+def per_template(chunks: Any, yaw_count: int) -> Any:
     """Leading axes (chunk, pair, two) of each result as one (yaw,), without the padding."""
     return jax.tree_util.tree_map(lambda x: x.reshape(-1, *x.shape[3:])[:yaw_count], chunks)
 
@@ -211,7 +211,8 @@ def _best_score(maps: Float[Array, "pair two row col"]) -> Float[Array, "pair tw
     return jnp.max(jnp.max(maps, axis=2), axis=2)  # beams last: the first maximum runs over whole vectors
 
 
-def _best_position(maps: Float[Array, "pair two row col"]) -> MatchPositions:
+def best_position(maps: Float[Array, "pair two row col"]) -> MatchPositions:
+    """The best window of each template in its map (pair, two, row, col)."""
     by_col = jnp.max(maps, axis=2)
     col = jnp.argmax(by_col, axis=2)  # an argmax over one axis at a time: over both XLA's CPU code is ten times slower
     column = jnp.take_along_axis(maps, col[:, :, None, None], axis=3)[..., 0]

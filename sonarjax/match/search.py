@@ -7,7 +7,7 @@ looked at next is decided on the host.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import jax
@@ -15,6 +15,7 @@ import numpy as np
 
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.match.compact import CompactBank, match_compact
 from sonarjax.match.ncc import PreparedBank, match_positions, prepare_bank
 from sonarjax.render import (
     RenderQuality,
@@ -31,6 +32,7 @@ from sonarjax.sonar import Sonar
 
 MIN_VALID = 0.5
 """Least share of a template's pixels that were measured, where part of the frame is masked."""
+NOT_SEEN = "{}: at no distance inside the sonar's view is any part of it visible"
 MAX_DISTANCES = 1000
 """Most distances of the search, 100 m of floor: each costs a bank."""
 
@@ -53,12 +55,20 @@ class SearchConfig:
     """Yaws that are kept for refinement, at most."""
     quality: RenderQuality = RenderQuality(sub_beams=1)
     """How finely templates are rendered."""
+    candidates: int = 8
+    """Of several targets, so many are refined and compared at most: those that a first look at all finds best."""
+    lead: float = 0.1
+    """A target that the first look finds so much worse than the best is none of them: correlation with the map, or half
+    of that with the frame itself. The two best always are."""
+    rank: int = 64
+    """Components that stand for all targets' templates at one distance in that first look."""
 
     def __post_init__(self) -> None:
         """Raises SonarjaxError for fewer than 4 yaw bins (peaks over yaw need neighbours), or counts below 1."""
         if self.yaw_bins < 4:
             raise SonarjaxError(f"yaw_bins: expected 4 or more, got {self.yaw_bins}")
-        if min(self.coarse_every, self.coarse_yaws, self.decimation, self.hypotheses) < 1 or not self.range_step > 0:
+        counts = self.coarse_every, self.coarse_yaws, self.decimation, self.hypotheses, self.candidates, self.rank
+        if min(counts) < 1 or not self.range_step > 0:
             raise SonarjaxError(f"SearchConfig: expected counts of 1 or more and a positive range_step, got {self}")
 
 
@@ -79,7 +89,7 @@ class _Entry(NamedTuple):
     """A bank and what matching keeps of it."""
 
     bank: TemplateBank
-    prepared: PreparedBank
+    prepared: PreparedBank | CompactBank
 
 
 class TargetSearch:
@@ -87,17 +97,18 @@ class TargetSearch:
 
     def __init__(
         self, mesh: Mesh, sonar: Sonar, config: SearchConfig = SearchConfig(), *, name: str = "target",
-        engine: Engine = PLAIN,
+        engine: Engine = PLAIN, compact: bool = False,
     ) -> None:  # fmt: skip
-        """Banks are rendered when a frame first needs them.
+        """Banks are rendered when a frame first needs them. `compact` keeps them small, at some cost in time.
 
         Raises SonarjaxError when no distance is in view or too many are, or the mesh is larger than the sonar sees far.
         """
         check_fits(mesh, sonar, name)
         self.mesh, self.sonar, self.config, self.name, self.engine = mesh, sonar, config, name, engine
+        self.compact = compact
         self._banks: dict[tuple[int, bool, bool], _Entry | None] = {}
         self.distances = _ground_ranges(sonar, config.range_step)
-        self._size = _bank_window(mesh, sonar, float(self.distances[0]))
+        self.size = _bank_window(mesh, sonar, float(self.distances[0]))
 
     def find(self, image: np.ndarray, mask: np.ndarray | None = None) -> Match:
         """The best match in `image` (range, beam) over distances: a coarse search, then banks near its best.
@@ -108,10 +119,18 @@ class TargetSearch:
         small = decimated(image, self.config.decimation), self._small_mask(mask)
         indices = [k for k in range(0, len(self.distances), every) if self._bank(k, True, masked) is not None]
         if not indices:
-            raise SonarjaxError(f"{self.name}: at no distance inside the sonar's view is any part of it visible")
+            raise SonarjaxError(NOT_SEEN.format(self.name))
         found = self.engine.map(lambda k: self._match(k, True, *small), indices)
         first = max(found, key=lambda match: match.scores.max())
-        index = self._in_view(self._nearest(first), masked)
+        return self.find_near(self._nearest(first), image, mask)
+
+    def find_near(self, index: int, image: np.ndarray, mask: np.ndarray | None = None) -> Match:
+        """The best match in `image` (range, beam) of the bank at distance number `index`, or of one nearer its place.
+
+        Raises SonarjaxError when no part of the target can be seen at any distance.
+        """
+        masked = mask is not None
+        index = self._in_view(index, masked)
         best = self._match(index, False, image, mask)
         closer = self._in_view(self._nearest(best), masked)
         if closer == index:
@@ -119,10 +138,17 @@ class TargetSearch:
         again = self._match(closer, False, image, mask)
         return again if again.scores.max() > best.scores.max() else best
 
+    def forget(self) -> None:
+        """Let go of the banks that were rendered so far."""
+        self._banks.clear()
+
     def _in_view(self, index: int, masked: bool) -> int:
-        """The distance next to number `index` at which some of the object is in view; `find` saw that there is one."""
+        """The distance next to number `index` at which some of the object is in view."""
         nearest_first = sorted(range(len(self.distances)), key=lambda k: abs(k - index))
-        return next(k for k in nearest_first if self._bank(k, False, masked) is not None)
+        found = next((k for k in nearest_first if self._bank(k, False, masked) is not None), None)
+        if found is None:
+            raise SonarjaxError(NOT_SEEN.format(self.name))
+        return found
 
     def place(self, match: Match) -> tuple[float, float]:
         """Ground (x, y) [m] of the object of a match."""
@@ -135,7 +161,7 @@ class TargetSearch:
 
     def _bank(self, index: int, coarse: bool, masked: bool) -> _Entry | None:
         """The bank at distance `index`, ready to be matched; None where the object is not in view there."""
-        key = (index, coarse, masked)
+        key = (index, coarse, masked and not self.compact)
         if key not in self._banks:
             self._banks[key] = self._render(float(self.distances[index]), coarse, masked)
         return self._banks[key]
@@ -146,8 +172,11 @@ class TargetSearch:
         yaws = np.arange(0, config.yaw_bins, every) * (2 * math.pi / config.yaw_bins)
         try:
             bank = template_bank(
-                self.mesh, self.sonar, yaws, x=distance, size=self._size, quality=config.quality, engine=self.engine
+                self.mesh, self.sonar, yaws, x=distance, size=self.size, quality=config.quality, engine=self.engine
             )
+            if self.compact and not coarse:
+                small = CompactBank.of(np.asarray(bank.templates))
+                return _Entry(replace(bank, templates=bank.templates[:, :0, :0]), small)
             if not coarse:
                 return _Entry(bank, prepare_bank(bank, self.sonar.shape, masked=masked))
             frame = self.sonar.n_ranges // config.decimation, self.sonar.n_beams
@@ -163,7 +192,10 @@ class TargetSearch:
         """The best place for each template of a bank in which something is in view."""
         entry = self._bank(index, coarse, mask is not None)
         assert entry is not None
-        found = match_positions(image, entry.prepared, mask, min_valid=MIN_VALID, whole=True)
+        if isinstance(entry.prepared, CompactBank) and mask is None:
+            found = match_compact(image, entry.prepared)
+        else:
+            found = match_positions(image, entry.prepared, mask, min_valid=MIN_VALID, whole=True)
         scores, row, column = jax.device_get((found.scores, found.row, found.col))
         best = int(scores.argmax())
         top, left = (int(v) for v in np.asarray(entry.bank.offset))

@@ -81,9 +81,13 @@ class Start(NamedTuple):
         return self.candidate.between_bins(self.bin) if self.pose is None else self.pose
 
 
-def locate(search: TargetSearch, picture: np.ndarray, mask: np.ndarray | None) -> Candidate:
-    """The target's best match in a map or a frame (range, beam). Raises SonarjaxError as `TargetSearch.find` does."""
-    match = search.find(np.asarray(picture, np.float32), mask)
+def locate(search: TargetSearch, picture: np.ndarray, mask: np.ndarray | None, near: int | None = None) -> Candidate:
+    """The target's best match in a map or a frame (range, beam), `near` a distance of that number where it is known.
+
+    Raises SonarjaxError as `TargetSearch.find` does.
+    """
+    picture = np.asarray(picture, np.float32)
+    match = search.find(picture, mask) if near is None else search.find_near(near, picture, mask)
     return Candidate(search, match, *search.place(match))
 
 

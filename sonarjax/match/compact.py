@@ -1,0 +1,69 @@
+"""Banks kept small, for catalogues: templates as bytes, their spectra made anew for each frame, few shapes to compile.
+
+A bank of 36 templates takes a few hundred kilobytes instead of ten megabytes, and twice the time to match.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, UInt8
+
+from sonarjax.match.masked import NEAR_CONSTANT
+from sonarjax.match.ncc import MatchPositions, best_position, per_template
+from sonarjax.match.spectra import correlate, frame_spectrum, over_chunks, pack, unit_templates
+
+ROWS, COLUMNS = 64, 16
+"""Templates are padded to multiples of so many range bins and beams: banks of one size share compiled code."""
+
+
+class CompactBank(NamedTuple):
+    """Templates with 256 levels of grey: off by a 510th at most."""
+
+    levels: UInt8[np.ndarray, "yaw h w"]
+    """Grey of 0 to 1 as 0 to 255."""
+
+    @classmethod
+    def of(cls, templates: Float[np.ndarray, "yaw h w"]) -> CompactBank:
+        """Of templates (yaw, h, w) from 0 to 1."""
+        return cls(np.round(255 * np.clip(templates, 0, 1)).astype(np.uint8))
+
+    @property
+    def templates(self) -> Float[np.ndarray, "yaw h w"]:
+        """The templates (yaw, h, w), float32 from 0 to 1."""
+        return self.levels.astype(np.float32) / 255
+
+
+def match_compact(image: Float[np.ndarray, "range beam"], bank: CompactBank) -> MatchPositions:
+    """Scores (yaw,) of eq. 4 for `image` (range, beam), and the corner of each best window, as `match_positions`."""
+    centred = image.astype(np.float64) - image.mean(dtype=np.float64)
+    height, width = bank.levels.shape[1:]
+    more = (0, 0), (0, min(-height % ROWS, image.shape[0] - height)), (0, min(-width % COLUMNS, image.shape[1] - width))
+    return _match(centred.astype(np.float32), _window_scale(centred, (height, width)), np.pad(bank.levels, more),
+                  np.int32(height), np.int32(width))  # fmt: skip
+
+
+def _window_scale(centred: np.ndarray, window: tuple[int, int]) -> np.ndarray:
+    """1/√energy of the window at each corner (range, beam), 0 where it is near-constant or leaves the frame."""
+    sums = [np.pad(np.cumsum(np.cumsum(v, 0), 1), ((1, 0), (1, 0))) for v in (centred, centred**2)]
+    (h, w), scale = window, np.zeros_like(centred)
+    total, squares = (s[h:, w:] - s[:-h, w:] - s[h:, :-w] + s[:-h, :-w] for s in sums)
+    energy = squares - total**2 / (h * w)  # float64 holds the cancellation
+    enough = energy > NEAR_CONSTANT * sums[1][-1, -1]
+    scale[: energy.shape[0], : energy.shape[1]] = np.where(enough, 1 / np.sqrt(np.where(enough, energy, 1)), 0)
+    return scale.astype(np.float32)
+
+
+@jax.jit
+def _match(image: Array, scale: Array, levels: Array, height: Array, width: Array) -> MatchPositions:
+    rows, columns = jnp.arange(levels.shape[1]), jnp.arange(levels.shape[2])
+    inside = ((rows < height)[:, None] & (columns < width)[None, :]).astype(jnp.float32)
+    templates = levels.astype(jnp.float32) / 255
+    unit = unit_templates(templates, jnp.broadcast_to(inside, templates.shape))
+    shape = image.shape[0], image.shape[1]
+    frame = frame_spectrum(image)
+    found = over_chunks(lambda planes: best_position(correlate(frame, planes, shape) * scale), pack(unit, shape))
+    return per_template(found, len(levels))

@@ -1,0 +1,173 @@
+"""Which few of many targets a frame may show: all of them at once, coarsely, by a low-rank bank at each distance.
+
+`FirstLook` is prepared for the searches of a catalogue. Every target is rendered at every third distance; all these
+templates lie in one box, so that they are compared over the same pixels, and a few components stand for all of them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.match.compact import CompactBank
+from sonarjax.match.low_rank import LowRankBank, low_rank_bank, match_low_rank
+from sonarjax.match.search import SearchConfig, TargetSearch, decimated
+from sonarjax.render import template_bank
+
+YAWS = 36
+"""Templates of a target at each distance, at most; never more than the search has yaw bins."""
+SLACK_ROWS = 2
+"""Coarse range bins beyond the middle between two distances that are searched."""
+SIZE_STEP = 16
+"""Boxes are rounded up to so many coarse range bins and beams: few shapes to be compiled."""
+
+
+LEADS = (1.0, 0.5)
+"""Share of `SearchConfig.lead` that counts on the map, and on the frame itself."""
+ALWAYS = 2
+"""Targets that are always looked at closely: the best and a runner-up."""
+
+
+class Sighting(NamedTuple):
+    """A target that a frame may show."""
+
+    search: TargetSearch
+    """The target."""
+    index: int
+    """Number of the distance at which it matched best."""
+    score: float
+    """Its approximate correlation there."""
+
+
+def leading(found: Sequence[Mapping[str, Sighting]], config: SearchConfig) -> list[str]:
+    """Names of the targets to look at closely, best first: by what was `found` in the map, and in the frame itself.
+
+    See `SearchConfig.candidates` and `lead`, which come from validation frames (experiments/fit_candidates.py).
+    """
+    short = {name: np.inf for name in found[0]}
+    for share, sightings in zip(LEADS, found, strict=False):
+        best = max(one.score for one in sightings.values())
+        short = {name: min(by, (best - sightings[name].score) / share) for name, by in short.items()}
+    height = {name: max(sightings[name].score for sightings in found) for name in short}
+    ordered = sorted(height, key=lambda name: -height[name])[: config.candidates]
+    return [name for k, name in enumerate(ordered) if k < ALWAYS or short[name] <= config.lead]
+
+
+class _Shelf(NamedTuple):
+    """All targets at one distance."""
+
+    bank: LowRankBank
+    owner: np.ndarray
+    row: int
+    slant: float
+
+
+class FirstLook:
+    """The low-rank banks of a catalogue of targets for one sonar."""
+
+    def __init__(self, searches: Sequence[TargetSearch]) -> None:
+        """`searches` are of one sonar and one config. Banks are rendered when a frame first needs them."""
+        self.searches = list(searches)
+        first = self.searches[0]
+        self.sonar, self.config, self.engine = first.sonar, first.config, first.engine
+        every = self.config.coarse_every
+        step = self.config.range_step * every / (2 * float(self.sonar.range_bin) * self.config.decimation)
+        self._reach = math.ceil(step) + SLACK_ROWS
+        self._distances = [float(d) for d in first.distances[::every]]
+        self._shelves: list[_Shelf] | None = None
+
+    @property
+    def distances(self) -> int:
+        """Number of distances that are looked at."""
+        return len(self._distances)
+
+    @property
+    def residual(self) -> float:
+        """Largest share of any template [1] that the components leave: no score is off by more."""
+        return max(float(np.max(np.asarray(shelf.bank.residual))) for shelf in self.prepare())
+
+    def prepare(self, progress: Callable[[int, int], None] = lambda done, of: None) -> list[_Shelf]:
+        """Render all banks, if that was not done yet; `progress` is told how many distances are done, of how many."""
+        if self._shelves is None:
+            shelves = []
+            for k, distance in enumerate(self._distances):
+                shelves.append(self._shelf(distance))
+                progress(k + 1, len(self._distances))
+            self._shelves = [shelf for shelf in shelves if shelf is not None]
+        return self._shelves
+
+    def best(self, image: np.ndarray, mask: np.ndarray | None = None) -> dict[str, Sighting]:
+        """Where in `image` (range, beam) each target matches best, by name; unmeasured pixels count as background."""
+        small = decimated(image if mask is None else np.where(mask, image, 0.5), self.config.decimation)
+        shelves = self.prepare()
+        found = self.engine.map(lambda shelf: self._match(small, shelf), shelves)
+        sightings: dict[str, Sighting] = {}
+        for shelf, (scores, rows) in zip(shelves, found, strict=True):
+            # The best template of each target: the last of its own in ascending order.
+            order = np.argsort(scores)
+            for owner, k in dict(zip(shelf.owner[order].tolist(), order.tolist(), strict=True)).items():
+                search, score = self.searches[owner], float(scores[k])
+                if search.name not in sightings or score > sightings[search.name].score:
+                    sightings[search.name] = Sighting(search, self._index(shelf, int(rows[k])), score)
+        return sightings
+
+    def _index(self, shelf: _Shelf, row: int) -> int:
+        """The distance's number of a template that matched at `row` of what was searched."""
+        moved = (row - self._reach) * self.config.decimation * float(self.sonar.range_bin)
+        ground = math.sqrt(max((shelf.slant + moved) ** 2 - float(self.sonar.height) ** 2, 0.0))
+        return int(np.argmin(np.abs(self.searches[0].distances - ground)))
+
+    def _match(self, small: np.ndarray, shelf: _Shelf) -> tuple[np.ndarray, np.ndarray]:
+        """Score and row of each template, near the distance at which it was rendered, at any bearing."""
+        height, width = shelf.bank.components.templates.shape[1:]
+        rows, beside = height + 2 * self._reach, width // 2
+        canvas = np.full((rows, small.shape[1] + 2 * beside), 0.5, np.float32)
+        top = shelf.row - self._reach
+        first, last = max(top, 0), min(top + rows, len(small))
+        canvas[first - top : last - top, beside : beside + small.shape[1]] = small[first:last]
+        found = match_low_rank(canvas, shelf.bank)
+        scores, row = jax.device_get((found.scores, found.row))
+        return scores, row
+
+    def _shelf(self, distance: float) -> _Shelf | None:
+        """All targets at a distance [m]; None where none is in view."""
+        views = self.engine.map(lambda search: self._view(search, distance), self.searches)
+        boxes = [(top, left, *view.levels.shape[1:]) for view, top, left in filter(None, views)]
+        if not boxes:
+            return None
+        top, left = (min(box[k] for box in boxes) for k in (0, 1))
+        height, width = (max(box[k] + box[k + 2] for box in boxes) - first for k, first in ((0, top), (1, left)))
+        shape = -(-height // SIZE_STEP) * SIZE_STEP, -(-width // SIZE_STEP) * SIZE_STEP
+        owner = np.repeat(np.arange(len(views)), [0 if view is None else len(view[0].levels) for view in views])
+        templates, count = np.full((len(owner), *shape), 0.5, np.float32), 0
+        for view, row, column in filter(None, views):
+            yaws, h, w = view.levels.shape
+            templates[count : count + yaws, row - top : row - top + h, column - left : column - left + w] = (
+                view.templates
+            )
+            count += yaws
+        frame = shape[0] + 2 * self._reach, self.sonar.n_beams + 2 * (shape[1] // 2)
+        bank = low_rank_bank(templates, frame, self.config.rank)
+        return _Shelf(bank, owner, top, math.hypot(distance, float(self.sonar.height)))
+
+    def _view(self, search: TargetSearch, distance: float) -> tuple[CompactBank, int, int] | None:
+        """A target's coarse templates at a distance [m] with the coarse row and the column of their first pixel."""
+        step, count = self.config.decimation, min(self.config.yaw_bins, YAWS)
+        yaws = np.arange(count) * (2 * math.pi / count)
+        try:
+            bank = template_bank(
+                search.mesh, self.sonar, yaws, x=distance, size=search.size, quality=self.config.quality,
+                engine=self.engine,
+            )  # fmt: skip
+        except SonarjaxError:  # out of view there
+            return None
+        row, column = (int(v) for v in np.asarray(bank.offset))
+        templates = np.asarray(bank.templates)
+        ends = row % step, -(row + templates.shape[1]) % step
+        whole = np.pad(templates, ((0, 0), ends, (0, 0)), constant_values=0.5)
+        return CompactBank.of(decimated(whole, step)), row // step, column
