@@ -35,6 +35,10 @@ class ClusterEngine(CpuEngine):
         super().__init__()
         self.client = client
 
+    def threads(self) -> int:
+        """Threads of all workers that are there now."""
+        return sum(self.client.nthreads().values())
+
     def stream(
         self, function: Callable[[Any, Any, Engine], Any], shared: Any, items: Iterable[Any]
     ) -> Iterator[Any]:
@@ -66,7 +70,7 @@ class ClusterEngine(CpuEngine):
                     raise SonarjaxError("--cluster: the scheduler is gone, or has dropped the work") from error
             else:
                 raise SonarjaxError(f"--cluster: {DEATHS} workers died at one item: expected workers that live")
-            room = AHEAD * max(1, sum(self.client.nthreads().values())) if first else 1
+            room = AHEAD * max(1, self.threads()) if first else 1
             first = False
             waiting.extend(start(one) for one in islice(rest, room))
             yield done

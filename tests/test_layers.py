@@ -16,8 +16,9 @@ STAGES = [
     "io", "scene", "sonar", "render", "sensor", "data", "segment", "match", "refine", "calibrate", "shape", "recognize",
     "track", "results", "plot", "cli",
 ]  # fmt: skip
+SPEED = {"cluster", "cpu"}  # nothing but speed: optional
 BASE = {"records", "engine"}  # below everything: any file may import them, and they import no stage but io
-OUTSIDE = {"cpu", "__init__", "__main__"}  # beside the order; only the command line may import cpu
+OUTSIDE = {"cluster", "cpu", "__init__", "__main__"}  # beside the order
 ONLY_IMPORTER = {"trimesh": "scene", "jaxopt": "refine"}
 FORBIDDEN = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "shelve", "marshal"}
 MAX_LINES = 450
@@ -75,15 +76,15 @@ def _complaint(parts: list[str], imported: list[str]) -> str | None:
 
 def _wrong_direction(stage: str, imported: list[str], is_folder: bool) -> str | None:
     target = imported[0] if imported else "__init__"
-    if target == "cpu" and stage != "cli":
-        return "imports cpu: only the command line may, beside experiments, notebooks and tests"
+    if target in SPEED and stage not in {"cli", "cluster"}:
+        return f"imports {target}: only the command line may, beside experiments, notebooks and tests"
     if stage in OUTSIDE:
         return None
     if stage in BASE:
         return None if target in {"io"} | BASE else f"{stage} stands below {target}"
     if stage not in STAGES:
         return f"{stage} is not in the list of stages: {', '.join(STAGES)}"
-    if target in BASE or (target == stage and is_folder) or (target == "cpu" and stage == "cli"):
+    if target in BASE or (target == stage and is_folder) or (target in SPEED and stage == "cli"):
         return None
     if target not in STAGES:
         return f"imports {target} from the package's top: import it from its own folder"
@@ -131,6 +132,7 @@ BAD = {
     "experiment draws": ("experiments/a.py", "from paper_figs import fig7"),
     "package runs an experiment": ("sonarjax/cli/a.py", "import experiments.bench_all"),
     "a stage tunes the process": ("sonarjax/render/a.py", "from sonarjax.cpu import tune"),
+    "a stage asks for workers": ("sonarjax/data/a.py", "from sonarjax.cluster import connect"),
     "a stage asks for threads": ("sonarjax/recognize.py", "from sonarjax import cpu"),
     "importing tunes the process": ("sonarjax/__init__.py", "from sonarjax.cpu import tune"),
     "records know a stage": ("sonarjax/records.py", "from sonarjax.scene import Pose"),
@@ -158,6 +160,8 @@ GOOD = {
         "from sonarjax.records import record\nimport sonarjax.engine",
     ),
     "the processor knows results": ("sonarjax/cpu.py", "from sonarjax.refine.yaw import YawEstimate"),
+    "a command, a cluster": ("sonarjax/cli/a.py", "from sonarjax.cluster import connect"),
+    "a cluster of processors": ("sonarjax/cluster.py", "from sonarjax.cpu import CpuEngine"),
     "an experiment tunes": ("experiments/a.py", "from sonarjax.cpu import tune"),
     "a figure script": ("paper_figs/fig7.py", "from sonarjax.plot import polar\nfrom paper_figs import style"),
     "long enough": ("sonarjax/io/a.py", "x = 1\n" * MAX_LINES),

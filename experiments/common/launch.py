@@ -12,15 +12,19 @@ import inspect
 import sys
 import textwrap
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import asdict, fields
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from experiments.common.frames import VALIDATION_SEED
-from experiments.common.runs import Job, circumstances, run_folder
+from experiments.common.runs import Files, Job, circumstances, run_folder
+from experiments.common.share import Work, measured_seeds, shared_parts
+from sonarjax.cluster import connect
 from sonarjax.cpu import tune
+from sonarjax.engine import Engine
 from sonarjax.io import SonarjaxError
 
 Report = dict[str, Any]
@@ -48,16 +52,21 @@ def launch(
     assert module is not None and module.__file__ is not None
     name = Path(module.__file__).stem
     chosen, common = parse(settings, module.__doc__ or "", smoke, arguments)
+    if common.cluster and name.startswith("bench_"):
+        print(f"{name}: --cluster: a benchmark times one machine", file=sys.stderr)
+        raise SystemExit(2)
     tune()  # before anything is computed
     reports = []
+    facts = {"experiment": name, "preset": common.preset, "changed": common.changed}
     try:
-        jobs = [Job(run_folder(Path(common.runs), name, asdict(chosen), seed), seed) for seed in common.seeds]
-        interrupted = any(job.begun for job in jobs)
-        facts = {"experiment": name, "preset": common.preset, "changed": common.changed}
-        for job in jobs:
-            kept = job.finished if interrupted else None  # the seeds that were done before the interruption
-            reports.append(kept or _one(run, chosen, job, facts))
-            print(f"\n{table(reports[-1])}\n\n{job.folder}: {reports[-1]['seconds']:.0f} s", flush=True)
+        with connect(common.cluster) if common.cluster else nullcontext() as engine:
+            work = Work(_module_name(run), run.__name__, settings.__qualname__, asdict(chosen))
+            share = shared_parts(engine, work) if engine and len(common.seeds) == 1 else None
+            folders = {seed: run_folder(Path(common.runs), name, asdict(chosen), seed) for seed in common.seeds}
+            jobs = [Job(folder, seed, share and share(seed)) for seed, folder in folders.items()]
+            for job, report in zip(jobs, _reports(run, chosen, jobs, facts, engine, work), strict=True):
+                reports.append(report)
+                print(f"\n{table(report)}\n\n{job.folder}: {report['seconds']:.0f} s", flush=True)
     except Skipped as error:
         if common.preset != "smoke":
             raise SystemExit(f"{name}: {error}") from error
@@ -71,6 +80,39 @@ def launch(
         print(f"\nmean of seeds {', '.join(map(str, common.seeds))}\n{table(combined(reports, _mean))}")
         print(f"\nlargest deviation from it\n{table(combined(reports, _deviation))}")
     return reports
+
+
+def _reports(
+    run: Run, chosen: Any, jobs: list[Job], facts: Report, engine: Engine | None, work: Work
+) -> Iterator[Report]:
+    """Each seed's report in turn; of an interrupted command, the seeds that were done before are not run again.
+
+    Several seeds are each run on a worker of the `engine`, if there is one.
+    """
+    interrupted = any(job.begun for job in jobs)
+    kept = {job.seed: job.finished if interrupted else None for job in jobs}
+    left = [job.seed for job in jobs if not kept[job.seed]]
+    elsewhere = measured_seeds(engine, work, left) if engine and len(jobs) > 1 else None
+    for job in jobs:
+        yield kept[job.seed] or _one(run if elsewhere is None else _fetched(elsewhere), chosen, job, facts)
+
+
+def _fetched(elsewhere: Iterator[tuple[Report, Files]]) -> Run:
+    """A run that takes the next report, and the files beside it, from where they were made."""
+
+    def run(settings: Any, job: Job) -> Report:
+        report, files = next(elsewhere)
+        job.put(files)
+        return report
+
+    return run
+
+
+def _module_name(run: Run) -> str:
+    """The module's name for an import, also where it is the one that was started."""
+    module = inspect.getmodule(run)
+    spec = getattr(module, "__spec__", None)
+    return str(spec.name if spec else run.__module__)
 
 
 def _one(run: Run, settings: Any, job: Job, facts: Report) -> Report:
@@ -94,6 +136,8 @@ def parse(
     seeds = f"root seeds below {VALIDATION_SEED}, one run each (default: 0)"
     parser.add_argument("--seeds", type=_seed, nargs="+", default=[0], help=seeds)
     parser.add_argument("--runs", default="runs", help="folder of the results (default: runs)")
+    cluster = "share parts, or several seeds, among Dask workers: a scheduler's ADDRESS, or local[:N] (extra cluster)"
+    parser.add_argument("--cluster", default=None, help=cluster)
     helps, kinds = field_docstrings(settings), get_type_hints(settings)
     for option in fields(settings):
         text = f"{' '.join(helps[option.name].split())} (default: {_shown(option.default)})".replace("%", "%%")
@@ -101,7 +145,7 @@ def parse(
             f"--{option.name.replace('_', '-')}", default=None, help=text, **_kind(kinds[option.name], option.default)
         )
     given = vars(parser.parse_args(arguments))
-    common = argparse.Namespace(**{name: given.pop(name) for name in ("preset", "seeds", "runs")})
+    common = argparse.Namespace(**{name: given.pop(name) for name in ("preset", "seeds", "runs", "cluster")})
     start = dict(smoke) if common.preset == "smoke" else {}
     asked = {k: tuple(v) if isinstance(v, list) else v for k, v in given.items() if v is not None}
     try:

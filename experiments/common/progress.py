@@ -47,6 +47,10 @@ class Progress:
             del self._begun[name]
         self._bar.update()
 
+    def done(self) -> None:
+        """A part is done that was computed elsewhere."""
+        self._bar.update()
+
     def _beat(self) -> None:
         while not self._ended.wait(PERIOD_S):
             self._say()

@@ -24,20 +24,27 @@ import numpy as np
 
 import sonarjax as sj
 from experiments.common.progress import Progress
-from sonarjax.io import SonarjaxError, write_npz, write_text
+from sonarjax.io import SonarjaxError, write_atomic, write_npz, write_text
 from sonarjax.io.jsonlines import JsonLines, plain
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS, PARTS = "results.json", "parts.jsonl"
 Case = TypeVar("Case")
+Files = dict[str, bytes]
+Share = Callable[[list[str], dict[str, Any]], Iterable[tuple[dict[str, Any], Files]]]
+"""Values by the names of parts, in the parts' order, and files of the run's folder by name; from the parts' names and
+what was measured before."""
 
 
 class Job:
     """One run of an experiment with one seed: its folder, and the parts that it has measured so far."""
 
-    def __init__(self, folder: Path, seed: int) -> None:
-        """Make `folder`, and take up what an interrupted run of the same code left in it."""
-        self.folder, self.seed = folder, seed
+    def __init__(self, folder: Path, seed: int, share: Share | None = None) -> None:
+        """Make `folder`, and take up what an interrupted run of the same code left in it.
+
+        With `share`, other processes measure the parts.
+        """
+        self.folder, self.seed, self._share = folder, seed, share
         folder.mkdir(parents=True, exist_ok=True)
         self._path = folder / PARTS
         self._done = self._taken_up()
@@ -72,11 +79,21 @@ class Job:
 
             def part(name: str, device: jax.Device | None = None) -> None:
                 with progress.part(name), jax.default_device(device):
-                    value = plain({"part": parts[name], "value": measure(named[name])})
-                    kept.write(value)
-                    self._done[parts[name]] = value["value"]
+                    keep(parts[name], measure(named[name]))
 
-            _spread(part, left)
+            def keep(part: str, value: Any) -> None:
+                record = plain({"part": part, "value": value})
+                kept.write(record)
+                self._done[part] = record["value"]
+
+            if self._share is None or not left:
+                _spread(part, left)
+            else:
+                for found, files in self._share([parts[name] for name in left], dict(self._done)):
+                    self.put(files)
+                    for one, value in found.items():
+                        keep(one, value)
+                        progress.done()
         return {name: self._done[parts[name]] for name in named}
 
     def arrays(self, name: str, **arrays: Any) -> Path:
@@ -84,6 +101,12 @@ class Job:
         path = self.folder / f"{name}.npz"
         write_npz(path, **{key: np.asarray(value) for key, value in arrays.items()})
         return path
+
+    def put(self, files: Files) -> None:
+        """Keep files that another process made in a folder of its own."""
+        for name, content in files.items():
+            (self.folder / name).parent.mkdir(parents=True, exist_ok=True)
+            write_atomic(self.folder / name, lambda file, content=content: file.write(content))
 
     def finish(self, report: Mapping[str, Any]) -> None:
         """Write the results; the parts have served."""

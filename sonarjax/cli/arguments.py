@@ -45,9 +45,9 @@ def correlation(text: str) -> float:
     return limited(text, -1.0, 1.0)
 
 
-def count(text: str, high: int = 65536) -> int:
-    """A whole number from 1 to `high`."""
-    value = limited(text, 1.0, float(high))
+def count(text: str, high: int = 65536, low: int = 1) -> int:
+    """A whole number from `low` to `high`."""
+    value = limited(text, float(low), float(high))
     if value != int(value):
         raise argparse.ArgumentTypeError(f"expected a whole number, got {text!r}")
     return int(value)

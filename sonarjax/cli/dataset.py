@@ -43,7 +43,7 @@ def add(commands: Any) -> None:
         help="noise: 0 none, 1 as hard as the paper's frames (default)",
     )  # fmt: skip
     command.add_argument(
-        "--seed", metavar="S", type=partial(limited, low=0, high=2**31), default=0, help="default: 0"
+        "--seed", metavar="S", type=partial(count, low=0, high=2**31), default=0, help="default: 0"
     )
     command.add_argument(
         "--shard", metavar="I/N", type=_shard, default=(1, 1), help="make part I of N; all go to the same folder"
@@ -62,8 +62,6 @@ def _shard(text: str) -> tuple[int, int]:
 
 def run(args: argparse.Namespace) -> int:
     """Run the command; returns its exit code. Raises SonarjaxError for input that cannot be used."""
-    if args.seed != int(args.seed):
-        raise SonarjaxError(f"--seed: expected a whole number, got {args.seed:g}")
     start_jax()
     import jax
     from tqdm import tqdm
@@ -87,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
         tqdm(total=args.count, unit="frame", file=sys.stderr, disable=not sys.stderr.isatty()) as bar,
     ):
         complete = make_dataset(
-            meshes, sonar, args.out, args.count, key=jax.random.key(int(args.seed)), format=args.format,
+            meshes, sonar, args.out, args.count, key=jax.random.key(args.seed), format=args.format,
             settings=settings, shard=args.shard, license=args.license, engine=engine, progress=bar.update,
         )  # fmt: skip
     say(f"{args.out}: {args.count} frames" if complete else f"{args.out}: shard done, others are missing")

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import secrets
 import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any
 
 from sonarjax.cli.arguments import EXITS, FRAME_HELP, add_unit, correlation
-from sonarjax.cli.frames import each_frame, start_jax
+from sonarjax.cli.frames import CLUSTER_HELP, Lazy, each_frame, engine_of, start_jax
 from sonarjax.cli.targets import target_files
 from sonarjax.io import JsonLines, SonarjaxError, check_outputs, complain, naming
 from sonarjax.results import SCHEMA, record_of
@@ -42,6 +46,7 @@ def add(commands: Any) -> None:
         "--motion", choices=("turning", "standing"), default="turning",
         help="with --track, how the target may move from frame to frame (default: %(default)s)",
     )  # fmt: skip
+    command.add_argument("--cluster", metavar="WHERE", help=CLUSTER_HELP)
     add_unit(command)
 
 
@@ -61,6 +66,8 @@ def run(args: argparse.Namespace) -> int:
     from sonarjax.sonar import Sonar
     from sonarjax.track import Standing, Tracker, Turning
 
+    if args.cluster is not None and args.track:
+        raise SonarjaxError("--cluster: a track's frames depend on each other: expected --cluster or --track, not both")
     check_segmenter(args.segmenter)
     sonar, meshes = Sonar.from_toml(args.sonar), {}
     for name, file in files.items():
@@ -74,29 +81,82 @@ def run(args: argparse.Namespace) -> int:
         raise SonarjaxError(naming(args.sonar, error)) from error
     motion = Turning() if args.motion == "turning" else Standing()
     tracker = Tracker(recognizer, motion, threshold=args.threshold) if args.track else None
-    code = 0
+    if args.cluster is not None:
+        work = Work(secrets.token_hex(8), targets, sonar, args.segmenter, refine, args.threshold)
+        with engine_of(args.cluster) as engine:
+            return _write(args.out, engine.stream(recognize_on_worker, work, each_frame(args.frames)))
     if len(meshes) > 1:
         complain(f"preparing {len(meshes)} targets", kind="")
         recognizer.prepare()
-    with JsonLines(args.out) as lines:
+
+    def recognized(image: Lazy, mask: Lazy) -> tuple[Lazy, Lazy]:
+        if tracker is None:
+            return recognizer(image, mask, threshold=args.threshold), None
+        found = tracker.recognize(image, mask)
+        return found, tracker.take(found)
+
+    def records() -> Iterator[dict[str, Any]]:
         for name, frame in each_frame(args.frames):
-            try:
-                if isinstance(frame, Exception):
-                    raise frame
-                started = time.perf_counter()
-                if tracker is None:
-                    found, tracked = recognizer(frame.image, frame.mask, threshold=args.threshold), None
-                else:
-                    found = tracker.recognize(frame.image, frame.mask)
-                    tracked = tracker.take(found)
-                record = record_of(found, frame.source, time.perf_counter() - started, tracked)
-            except BrokenPipeError:
-                raise
-            except Exception as error:  # whatever one frame does to us, the others are still to be recognized
-                if tracker is not None:
-                    tracker.take(None)
-                record = {"frame": name, "error": naming(name, error), "schema": SCHEMA}
+            record = _record(name, frame, recognized)
+            if tracker is not None and "error" in record:
+                tracker.take(None)
+            yield record
+
+    return _write(args.out, records())
+
+
+def _write(path: str, records: Iterator[dict[str, Any]]) -> int:
+    """Append the records as they come; the exit code."""
+    code = 0
+    with JsonLines(path) as lines:
+        for record in records:
+            if "error" in record:
                 complain(record["error"])
                 code = 1
             lines.write(record)
     return code
+
+
+def _record(name: str, frame: Lazy, recognized: Callable[[Lazy, Lazy], tuple[Lazy, Lazy]]) -> dict[str, Any]:
+    """What is found in a frame of io.Frame, or what is wrong with it: an exception in place of a frame is that."""
+    try:
+        if isinstance(frame, Exception):
+            raise frame
+        started = time.perf_counter()
+        found, tracked = recognized(frame.image, frame.mask)
+        return record_of(found, frame.source, time.perf_counter() - started, tracked)
+    except BrokenPipeError:
+        raise
+    except Exception as error:  # whatever one frame does to us, the others are still to be recognized
+        return {"frame": name, "error": naming(name, error), "schema": SCHEMA}
+
+
+@dataclass(frozen=True)
+class Work:
+    """What workers look for; two are equal that have the same `token`."""
+
+    token: str
+    """Of one run of the command."""
+    targets: Lazy = field(compare=False)
+    """As `Recognizer` takes them."""
+    sonar: Lazy = field(compare=False)
+    """The sonar."""
+    segmenter: str = field(compare=False)
+    """Name of the segmenter."""
+    refine: Lazy = field(compare=False)
+    """A RefineConfig, or None."""
+    threshold: float | None = field(compare=False)
+    """Score from which on it is the target; None for the shipped one."""
+
+
+def recognize_on_worker(work: Work, named: tuple[str, Lazy], engine: Lazy) -> dict[str, Any]:
+    """On a worker of a cluster: the record of a frame with its name, as `each_frame` gives them."""
+    recognizer = _own_recognizer(work, engine)
+    return _record(*named, lambda image, mask: (recognizer(image, mask, threshold=work.threshold), None))
+
+
+@lru_cache(maxsize=1)
+def _own_recognizer(work: Work, engine: Lazy) -> Lazy:
+    from sonarjax.recognize import Recognizer
+
+    return Recognizer(work.targets, work.sonar, segmenter=work.segmenter, refine=work.refine, engine=engine)
