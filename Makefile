@@ -1,5 +1,6 @@
 # make test        lint, format, types and fast tests     make test-all    that, slow tests, experiments and notebooks
 # make smoke       every experiment and notebook in brief  make reproduce   the main job: figures and report under runs/
+# make docs        the site: spelling, links, API        make docs-all    the same with the notebooks executed
 # make bench       speed against peers                    make format      rewrite the code in our format
 # make clean       remove the environment and the caches
 # Needs Python >= 3.11 with venv; name another interpreter with PYTHON=...
@@ -18,7 +19,7 @@ BIN   := $(VENV)/bin
 SPEC  := pyproject.toml constraints.txt
 PIP   := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: test test-all smoke reproduce bench format clean
+.PHONY: test test-all smoke reproduce docs docs-all bench format clean
 .DELETE_ON_ERROR:
 
 test: $(VENV)/.stamp-test
@@ -40,6 +41,15 @@ reproduce: $(VENV)/.stamp-base
 	$(BIN)/python -m experiments.paper_scenes
 	$(BIN)/python -m paper_figs --all --out runs/figures --report "$(CURDIR)/runs/report.html"
 
+docs: $(VENV)/.stamp-docs
+	$(BIN)/codespell
+	$(BIN)/python -m sphinx --quiet --fail-on-warning --keep-going -b html -c docs . docs/_build/html
+	$(BIN)/python docs/check_links.py docs/_build/html
+
+docs-all: $(VENV)/.stamp-docs $(VENV)/.stamp-smoke
+	$(BIN)/python -m notebooks.run
+	SONARJAX_NOTEBOOKS=runs/notebooks $(MAKE) docs
+
 bench: $(VENV)/.stamp-bench
 	$(BIN)/python -m experiments.bench_all
 
@@ -48,7 +58,7 @@ format: $(VENV)/.stamp-test
 	$(BIN)/ruff format .
 
 clean:
-	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) build dist docs/_build docs/api *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -not -path './$(VENV)/*' -prune -exec rm -rf {} +
 
 # One environment; each stamp says which extra of it is installed, and is older than the files that decide what.
@@ -57,8 +67,9 @@ $(VENV)/.stamp-test: EXTRA := [test]
 $(VENV)/.stamp-smoke: EXTRA := [test,notebooks]
 $(VENV)/.stamp-all: EXTRA := [test,notebooks,peers]
 $(VENV)/.stamp-bench: EXTRA := [bench]
+$(VENV)/.stamp-docs: EXTRA := [docs]
 
-$(VENV)/.stamp-base $(VENV)/.stamp-test $(VENV)/.stamp-smoke $(VENV)/.stamp-all $(VENV)/.stamp-bench: $(SPEC)
+$(VENV)/.stamp-base $(VENV)/.stamp-test $(VENV)/.stamp-smoke $(VENV)/.stamp-all $(VENV)/.stamp-bench $(VENV)/.stamp-docs: $(SPEC)
 	@$(or $(PYTHON),false) -c '$(RECENT)' 2>/dev/null || \
 		{ echo "sonarjax needs Python 3.11 or newer with venv and pip: make PYTHON=/path/to/python3.11" >&2; exit 1; }
 	@$(PIP) --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV)

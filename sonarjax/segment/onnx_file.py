@@ -98,5 +98,12 @@ def _about(segmenter: Segmenter, outputs: list[str]) -> dict[str, str]:
         "labels": json.dumps(["background", "highlight", "shadow"]),
         "threshold": json.dumps(segmenter.threshold),
         "threshold_is": "least correlation (eq. 5) of a matched template with the semantic map of an identified target",
-        "sonarjax": importlib.metadata.version("sonarjax"),
+        "sonarjax": _version(),
     }
+
+
+def _version() -> str:
+    try:
+        return importlib.metadata.version("sonarjax")
+    except importlib.metadata.PackageNotFoundError:  # run from its sources
+        return "unknown"

@@ -15,11 +15,11 @@ from safetensors.numpy import load_file
 from tests.segment.training_runs import PROJECT, QUICK, recorded
 
 
-def begin(run: Path, **environment: str) -> subprocess.Popen[str]:
+def begin(run: Path, *options: str, **environment: str) -> subprocess.Popen[str]:
     """`sonarjax train --preset smoke` on one device of this computer."""
     usual = {"JAX_PLATFORMS": "cpu", "XLA_FLAGS": QUICK, "PYTHONPATH": str(PROJECT)}
     return subprocess.Popen(
-        [sys.executable, "-m", "sonarjax", "train", "--preset", "smoke", "--run-dir", str(run)],
+        [sys.executable, "-m", "sonarjax", "train", "--preset", "smoke", "--run-dir", str(run), *options],
         cwd=PROJECT,
         env=os.environ | usual | environment,
         stdout=subprocess.PIPE,
@@ -60,6 +60,9 @@ def test_two_processes_train_the_smoke_recipe_as_one_does(tmp_path: Path) -> Non
     worst = max(float(np.abs(one[name].astype(np.float32) - two[name]).max()) for name in one)
     print(f"largest difference of a weight: {worst:.2g}")
     assert worst < 1e-2
+    finish(begin(tmp_path / "two", "--resume"))  # the checkpoint of two serves one
+    after = load_file(tmp_path / "two" / "weights.safetensors")
+    assert all((after[name] == two[name]).all() for name in two)
 
 
 @pytest.mark.parametrize(
