@@ -304,6 +304,7 @@ MEASURED = re.compile(r"(?<![\d.-])\d+\.\d+(?!\.?\d)|\b\d+ ?(?:%|ms\b|s a frame|
 SETTINGS = {"README.md": {"3.11", "0.25"}, "results.md": {"0.2", "95 %", "90 %"}, "speed.md": {"0.10"}}
 SETTINGS["calibrate.md"] = {"0.1", "0.3", "1 %", "2 %"}  # the height's search, and how far devices are off
 SETTINGS["training.md"] = {"3.1"}  # the paper's section
+SETTINGS["export.md"] = {"0.5", "0.17"}  # the background's grey, and a version
 SETTINGS["track.md"] = {"68 %"}  # what one standard deviation holds
 SETTINGS["outside.md"] = {"0.75", "95 %"}  # least grey of highlight, and a bootstrap's interval
 

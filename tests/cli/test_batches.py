@@ -180,7 +180,7 @@ def test_a_file_larger_than_memory_is_an_error_line(recognize, stand_in, place, 
     ("option", "value", "said"),
     [
         ("--target", "absent.stl", "no such mesh"),
-        ("--target", ".", "folder"),
+        ("--target", "empty", "folder of meshes"),
         ("--target", "brick_mm.stl", "millimetres"),
         ("--sonar", "absent.toml", "no such file"),
         ("--sonar", "brick.stl", "TOML"),
@@ -194,6 +194,7 @@ def test_a_file_larger_than_memory_is_an_error_line(recognize, stand_in, place, 
 def test_what_stops_a_batch(complaint, stand_in, place, tmp_path, option, value, said):
     if value.startswith("/") and not os.path.exists(value if "full" in value else os.path.dirname(value)):
         pytest.skip(f"needs {value}")
+    (place / "empty").mkdir(exist_ok=True)
     out = tmp_path / "r.jsonl"
     options = {"--target": place / "brick.stl", "--sonar": place / "sonar.toml", "--out": out}
     options[option] = value if option == "--segmenter" else place / value
