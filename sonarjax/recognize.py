@@ -14,21 +14,21 @@ import numpy as np
 from sonarjax.calibrate import stated_std, yaw_std_of_geometry
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.match import FirstLook, SearchConfig, TargetSearch, leading
+from sonarjax.match import FirstLook, SearchConfig, TargetSearch
 from sonarjax.refine import (
     ERROR_BAR,
     MAP_REFINEMENT,
     SAME_YAW,
     YAW_WEIGHTS,
-    Candidate,
     Evidence,
+    Look,
     RefineConfig,
     Start,
     YawEstimate,
     YawSet,
     curve_evidence,
     is_kept,
-    locate,
+    look_closely,
     make_starts,
     make_yaw_set,
     on_frame,
@@ -132,17 +132,10 @@ class Recognition:
         return make_yaw_set(yaws, stds, scores, self.scores_by_yaw, self.yaw_bin + bins, YAW_WEIGHTS)
 
 
-class _Look(NamedTuple):
-    """A target's best match on the map, and on the frame itself where that is asked for."""
-
-    in_map: Candidate
-    in_frame: Candidate | None = None
-
-
 class _Judged(NamedTuple):
     """A target that comes into question: what judges it, its yaws, best first, its place [m] and the evidence."""
 
-    look: _Look
+    look: Look
     score: float
     hypotheses: tuple[Hypothesis, ...]
     x: float
@@ -209,7 +202,8 @@ class Recognizer:
         self._prepare()
         seen = self.segmenter.semantic(image, mask, self.engine) if given is None else given
         rule = self.segmenter.rule if given is None and self.refine is not None else None
-        looks = self._looks(image, seen, mask, given is None)
+        pictures = self._pictures(image, seen, given is None)
+        looks = look_closely(self.targets, self.first_look, self.search, pictures, mask)
         judged = self._judged(looks, image, seen, mask, starts, rule)
         best, second = judged[0], judged[1] if len(judged) > 1 else None
         found = best.look.in_map
@@ -272,27 +266,13 @@ class Recognizer:
             raise SonarjaxError(f"threshold: expected a number beside {what}, there is none for it")
         return float(own if threshold is None else threshold)  # type: ignore[arg-type]
 
-    def _looks(self, image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None, segmented: bool) -> list[_Look]:
-        """The targets that come into question, best first, as they match the map and, if refined, the frame itself.
-
-        Where a segmenter fails, the match on the frame may be right.
-        """
-        on_frame = segmented and self.refine is not None and self.segmenter.name != "none"
-        pictures = (seen, image) if on_frame else (seen,)
-        near: list[Mapping[str, Any]] = [dict.fromkeys(self.targets)] * len(pictures)
-        names = list(self.targets)
-        if self.first_look is not None:
-            found = [self.first_look.best(np.asarray(picture, np.float32), mask) for picture in pictures]
-            names = leading(found, self.search)
-            near = [{name: sightings[name].index for name in names} for sightings in found]
-
-        def look(name: str) -> _Look:
-            return _Look(*(locate(self.targets[name], p, mask, at[name]) for p, at in zip(pictures, near, strict=True)))
-
-        return sorted(map(look, names), key=lambda one: -one.in_map.score)
+    def _pictures(self, image: np.ndarray, seen: np.ndarray, segmented: bool) -> tuple[np.ndarray, ...]:
+        """What targets are matched with: the map, and the frame itself, which may be right where a segmenter fails."""
+        on_frame_too = segmented and self.refine is not None and self.segmenter.name != "none"
+        return (seen, image) if on_frame_too else (seen,)
 
     def _judged(
-        self, looks: Sequence[_Look], image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None,
+        self, looks: Sequence[Look], image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None,
         expected: Sequence[Pose], rule: IdentificationRule | None,
     ) -> list[_Judged]:  # fmt: skip
         """The targets by what is judged, best first: by the rule where there is one, else as they match the map."""
@@ -306,14 +286,14 @@ class Recognizer:
                   for one in self._refined(looks, image, seen, mask, expected)]  # fmt: skip
         return sorted(judged, key=lambda one: -one.score)
 
-    def _unrefined(self, look: _Look) -> _Judged:
+    def _unrefined(self, look: Look) -> _Judged:
         found, scores = look.in_map, look.in_map.match.scores
         bins = peak_bins(scores, found.yaws, self.search.hypotheses)
         plain = [Hypothesis(_wrap(found.yaws[k]), float(scores[k]), None, x=found.x, y=found.y) for k in bins]
         return _Judged(look, found.score, _distinct(plain), found.x, found.y, None)
 
     def _refined(
-        self, looks: Sequence[_Look], image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None,
+        self, looks: Sequence[Look], image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None,
         expected: Sequence[Pose],
     ) -> Iterator[_Judged]:  # fmt: skip
         """Possible yaws of each look, best first, the place (x, y) [m] of the best, and what speaks for it."""
@@ -403,7 +383,7 @@ def _widened(config: RefineConfig, yaw_bins: int) -> RefineConfig:
     return replace(config, bounds=(max(yaw, 2 * math.pi / yaw_bins), x, y))
 
 
-def _judge(look: _Look, parts: Sequence[tuple[YawEstimate, Pose, Evidence]]) -> _Judged:
+def _judge(look: Look, parts: Sequence[tuple[YawEstimate, Pose, Evidence]]) -> _Judged:
     """A look's refined starts as hypotheses, with the evidence for the best; what judges them sets the score."""
     estimate, pose, gathered = jax.tree.map(lambda *values: np.stack([np.asarray(v) for v in values]), *parts)
     curves = curve_evidence(*look)

@@ -14,6 +14,7 @@ import jax
 import numpy as np
 
 import sonarjax as sj
+from experiments.common.validation import SYMMETRIC, bare_objects
 from sonarjax.scene.objects import BRICK_M, Arrays, box, cylinder_arrays, join, sphere_arrays
 
 L, W, H = BRICK_M
@@ -82,6 +83,33 @@ def strangers() -> dict[str, Entry]:
     return _padded_alike(entries)
 
 
+def validation_catalogue() -> dict[str, Entry]:
+    """What the comparison of candidates was fitted on: validation's objects and plain bodies, none of the catalogue's.
+
+    `like` is the group of each.
+    """
+    entries: dict[str, tuple[Arrays, int, str]] = {}
+    for name, (target, other) in bare_objects().items():
+        entries |= {name: (_arrays(target), 1, name), f"{name}, other": (_arrays(other), 1, name)}
+        if name not in SYMMETRIC:
+            entries[f"{name}, mirror image"] = (_mirrored(_arrays(target)), 1, name)
+    entries |= {
+        "tin": (cylinder_arrays(0.06, 0.2, 24), 0, "tin"),
+        "tin, wider": (cylinder_arrays(0.075, 0.2, 24), 0, "tin"),
+        "cheese": (cylinder_arrays(0.12, 0.1, 24), 0, "cheese"),
+        "globe": (sphere_arrays(0.095, 10, 12), 0, "globe"),
+        "globe, smaller": (sphere_arrays(0.08, 10, 12), 0, "globe"),
+        "hat": (_profile([(0.15, 0.0), (0.05, 0.25)], 24), 0, "hat"),
+        "block": (_boxes(((0.26, 0.13, 0.11), (0, 0, 0), 0)), 2, "block"),
+        "block, longer": (_boxes(((0.31, 0.13, 0.11), (0, 0, 0), 0)), 2, "block"),
+        "block on end": (_boxes(((0.13, 0.11, 0.26), (0, 0, 0), 0)), 2, "block"),
+        "tube": (_lying(0.04, 0.3), 2, "tube"),
+        "tube, longer": (_lying(0.04, 0.37), 2, "tube"),
+        "stair": (_boxes(((0.24, 0.16, 0.1), (0, 0, 0), 0), ((0.1, 0.16, 0.1), (0.07, 0, 0.101), 0)), 1, "stair"),
+    }
+    return _padded_alike(entries)
+
+
 def _padded_alike(entries: dict[str, tuple[Arrays, int, str]]) -> dict[str, Entry]:
     meshes = {name: sj.Mesh.from_arrays(*arrays, name=name) for name, (arrays, _, _) in entries.items()}
     groups = [[n for n, m in meshes.items() if (m.n_faces <= FEW_FACES) == few] for few in (True, False)]
@@ -102,7 +130,7 @@ def _mirrored(arrays: Arrays) -> Arrays:
 
 def _boxes(*parts: Box) -> Arrays:
     """Boxes by size [m], place of the middle of the underside [m] and yaw [deg]."""
-    raised = [(size, (x, y, z + size[2] / 2), math.radians(yaw)) for size, (x, y, z), yaw in parts]
+    raised = [(size, (float(x), float(y), z + size[2] / 2), math.radians(yaw)) for size, (x, y, z), yaw in parts]
     return join(*(box(*one) for one in raised))
 
 

@@ -1,0 +1,78 @@
+"""Many targets at once: compact banks against eq. 4, and which targets the first look finds in rendered frames."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+import sonarjax as sj
+from sonarjax.match import FirstLook, SearchConfig, Sighting, TargetSearch, leading, match_positions
+from sonarjax.match.compact import CompactBank, match_compact
+from sonarjax.scene.objects import box
+
+SONAR = sj.Sonar.preset("didson-hf", tilt=math.radians(20), height=0.9, n_ranges=128, range_min=1.5, range_max=4.0)
+CONFIG = SearchConfig(yaw_bins=12, coarse_yaws=12, decimation=2, range_step=0.2, rank=24)
+
+
+def boxes() -> dict[str, sj.Mesh]:
+    """Three boxes that differ, of 12 triangles each."""
+    sizes = {"plate": (0.4, 0.3, 0.05), "post": (0.08, 0.08, 0.35), "bar": (0.4, 0.06, 0.1)}
+    return {name: sj.Mesh.from_arrays(*box(size, (0.0, 0.0, size[2] / 2)), name=name) for name, size in sizes.items()}
+
+
+@pytest.fixture(scope="module")
+def look() -> FirstLook:
+    return FirstLook([TargetSearch(mesh, SONAR, CONFIG, name=name, compact=True) for name, mesh in boxes().items()])
+
+
+@pytest.mark.parametrize("size", [(40, 20), (64, 16), (100, 64)])
+def test_compact_banks_score_as_eq_4_does(size: tuple[int, int], semantic_image: Callable[..., np.ndarray]) -> None:
+    rng, image = np.random.default_rng(0), semantic_image(3)
+    image = image + rng.normal(0, 0.05, image.shape).astype(np.float32)
+    templates = np.clip(np.stack([image[20 : 20 + size[0], : size[1]], image[30 : 30 + size[0], : size[1]] ** 2]), 0, 1)
+    bank = CompactBank.of(templates)
+    found, exact = match_compact(image, bank), match_positions(image, bank.templates)
+    np.testing.assert_allclose(found.scores, exact.scores, atol=1e-4)
+    np.testing.assert_array_equal(found.row, exact.row)
+    np.testing.assert_array_equal(found.col, exact.col)
+    assert abs(bank.templates - templates).max() <= 0.5 / 255 + 1e-6
+
+
+@pytest.mark.parametrize(("name", "masked"), [("plate", False), ("post", True), ("bar", False)])
+def test_first_look_finds_the_target_and_its_distance(look: FirstLook, name: str, masked: bool) -> None:
+    image = np.asarray(sj.render(boxes()[name], sj.Pose(2.35, 0.1, 0.5), SONAR).semantic())
+    mask = np.ones(image.shape, bool)
+    mask[:5] = False
+    found = look.best(image, mask if masked else None)
+    assert max(found, key=lambda key: found[key].score) == name
+    assert abs(look.searches[0].distances[found[name].index] - math.hypot(2.35, 0.1)) <= 0.15
+
+
+def test_a_score_is_near_that_of_eq_4(look: FirstLook) -> None:
+    image = np.asarray(sj.render(boxes()["bar"], sj.Pose(2.35, 0.0, 0.5), SONAR).semantic())
+    exact = look.searches[2].find(image).scores.max()
+    assert look.best(image)["bar"].score == pytest.approx(float(exact), abs=look.residual + 0.1)
+    assert 0 < look.residual < 0.5
+
+
+def sightings(**scores: float) -> dict[str, Sighting]:
+    return {name: Sighting(None, 0, score) for name, score in scores.items()}  # type: ignore[arg-type]
+
+
+def test_candidates_are_near_the_best_on_map_or_frame() -> None:
+    config = SearchConfig(candidates=4, lead=0.1)
+    on_map, on_frame = sightings(a=0.9, b=0.85, c=0.7, d=0.6, e=0.5), sightings(a=0.2, b=0.1, c=0.58, d=0.5, e=0.6)
+    assert leading([on_map], config) == ["a", "b"]
+    assert leading([on_map, on_frame], config) == ["a", "b", "c"]  # e is best on the frame, but four others score more
+    assert leading([sightings(a=0.9, b=0.1, c=0.1)], config) == ["a", "b"]  # there is a runner-up
+    assert leading([sightings(a=0.9, b=0.1)], SearchConfig(candidates=1)) == ["a"]
+
+
+def test_a_target_that_is_nowhere_in_view_is_named() -> None:
+    high = sj.Mesh.from_arrays(*box((0.1, 0.1, 0.1), (0.0, 0.0, 5.0)), name="balloon")
+    search = TargetSearch(high, SONAR, CONFIG, name="balloon", compact=True)
+    with pytest.raises(sj.SonarjaxError, match="balloon: at no distance"):
+        search.find_near(0, np.zeros(SONAR.shape, np.float32))
