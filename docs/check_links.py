@@ -38,7 +38,7 @@ def dead_links(site: Path) -> Iterator[str]:
     for path, page in pages.items():
         for link in dict.fromkeys(page.links):
             parts = urlsplit(link)
-            if parts.scheme or parts.netloc or link.startswith("#") and parts.fragment in page.anchors:
+            if parts.scheme or parts.netloc or (link.startswith("#") and parts.fragment in page.anchors):
                 continue
             target = (path.parent / unquote(parts.path)).resolve() if parts.path else path
             target = target / "index.html" if target.is_dir() else target

@@ -62,7 +62,11 @@ class Spec(NamedTuple):
 
 
 def split_spec(spec: str | os.PathLike[str]) -> Spec:
-    """The parts of a frame's name; a file that really has such a name wins."""
+    """The parts of a frame's name; a file that really has such a name wins.
+
+    >>> split_spec("log.aris:3")
+    Spec(path='log.aris', number=3, topic=None)
+    """
     name = os.fspath(spec)
     if os.path.exists(name):
         return Spec(name, None)

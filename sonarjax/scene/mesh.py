@@ -142,6 +142,10 @@ def stack_meshes(meshes: Sequence[Mesh]) -> Mesh:
     """Several meshes as one batch (mesh, ...) for `jax.vmap`, padded to common sizes and capacities.
 
     Raises SonarjaxError when there is none.
+
+    >>> from sonarjax.scene import objects
+    >>> stack_meshes([objects.brick(), objects.target()]).vertices.shape[0]
+    2
     """
     if not meshes:
         raise SonarjaxError("stack_meshes: expected at least one mesh")

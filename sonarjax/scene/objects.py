@@ -17,7 +17,12 @@ Arrays = tuple[np.ndarray, np.ndarray]
 
 
 def box(size: tuple[float, float, float], center: tuple[float, float, float], yaw: float = 0.0) -> Arrays:
-    """A box as vertices (8, 3) [m] and outward triangles (12, 3); `size` and `center` [m], `yaw` [rad]."""
+    """A box as vertices (8, 3) [m] and outward triangles (12, 3); `size` and `center` [m], `yaw` [rad].
+
+    >>> vertices, faces = box((0.4, 0.2, 0.1), (0.0, 0.0, 0.05))
+    >>> vertices.min(axis=0).tolist(), len(faces)
+    ([-0.2, -0.1, 0.0], 12)
+    """
     corners = np.array([[x, y, z] for z in (-0.5, 0.5) for y in (-0.5, 0.5) for x in (-0.5, 0.5)]) * size
     c, s = math.cos(yaw), math.sin(yaw)
     corners = corners @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + center

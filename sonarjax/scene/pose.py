@@ -21,6 +21,9 @@ class Pose:
     The constructor broadcasts numbers and arrays to float32 fields of one shape `*batch`. A batch of poses is a batch
     for `render`, and for `jax.vmap`: `jax.vmap(f)(Pose(x=xs, y=0.0, yaw=yaws))`.
     The rotation is yaw, then pitch, then roll about the object's own axes: R = Rz(yaw) Ry(pitch) Rx(roll).
+
+    >>> Pose(x=2.0, y=[0.0, 0.5], yaw=0.0).shape
+    (2,)
     """
 
     x: Float[Array, "*batch"]

@@ -42,7 +42,11 @@ def threshold_labels(
 
 
 def to_grey(labels: Any) -> Float[np.ndarray, "*batch range beam"]:
-    """Labels (range, beam), or a stack of such, as grey images: shadow 0, background 0.5, highlight 1."""
+    """Labels (range, beam), or a stack of such, as grey images: shadow 0, background 0.5, highlight 1.
+
+    >>> to_grey([[0, 1, 2]]).tolist()
+    [[0.5, 1.0, 0.0]]
+    """
     return GREY[np.asarray(labels)]
 
 

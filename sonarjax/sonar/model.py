@@ -106,6 +106,9 @@ class Sonar:
         """A device by name (see `sonarjax.sonar.PRESETS`), fields replaced by `overrides` (metres and radians).
 
         Raises SonarjaxError for an unknown name or field.
+
+        >>> Sonar.preset("didson-hf", n_ranges=256).shape
+        (256, 96)
         """
         from sonarjax.sonar.presets import preset
 

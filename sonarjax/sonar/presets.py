@@ -30,7 +30,11 @@ WINDOW_M = (1.5, 4.0)
 
 
 def even_beams(n_beams: int, field_of_view: float) -> Float64[np.ndarray, "beam"]:
-    """Centres (n_beams,) of equal beams whose outer edges span `field_of_view`, in that argument's unit."""
+    """Centres (n_beams,) of equal beams whose outer edges span `field_of_view`, in that argument's unit.
+
+    >>> even_beams(4, 20.0).tolist()
+    [-7.5, -2.5, 2.5, 7.5]
+    """
     return (np.arange(n_beams) + 0.5 - n_beams / 2) * (field_of_view / n_beams)
 
 
