@@ -12,8 +12,9 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import jax
 import numpy as np
@@ -52,7 +53,7 @@ class Plan(NamedTuple):
     """What the pixels mean, and what the meshes are called."""
     key: np.ndarray
     """Data of the key."""
-    count: int
+    frames: int
     """Number of frames."""
     format: str
     """One of `FORMATS`."""
@@ -69,6 +70,10 @@ class Part(NamedTuple):
     """Contents by name in the folder."""
     lines: Lines
     """What is known of each frame."""
+
+
+def _write(content: bytes, file: BinaryIO) -> None:
+    file.write(content)
 
 
 def make_dataset(
@@ -105,7 +110,7 @@ def make_dataset(
     told = progress or (lambda frames: None)
     for part in engine.stream(draw_part, plan, _missing(target, mine, count, told)):
         for name, content in part.files.items():
-            write_atomic(target / name, lambda file, content=content: file.write(content))
+            write_atomic(target / name, partial(_write, content))
         write_text(_part(target, part.chunk), "".join(json.dumps(line) + "\n" for line in part.lines))
         told(len(part.lines))
     if any(not _part(target, chunk).exists() for chunk in range(_chunks(count))):
@@ -118,7 +123,7 @@ def draw_part(plan: Plan, chunk: int, engine: Engine) -> Part:
     """The frames of a chunk as files and lines. Raises SonarjaxError as `draw_chunk` does."""
     drawn = draw_chunk(plan.meshes, plan.sonar, plan.limits, chunk, plan.settings, engine, key=plan.key)
     files, lines, items = Files(), Lines(), []
-    for at, number in enumerate(range(chunk * CHUNK, min((chunk + 1) * CHUNK, plan.count))):
+    for at, number in enumerate(range(chunk * CHUNK, min((chunk + 1) * CHUNK, plan.frames))):
         items.append(_item(drawn, at, number))
         own, names = FORMATS[plan.format](items[-1], plan.axes)
         files |= own
@@ -164,7 +169,7 @@ def _facts(plan: Plan, meshes: Mapping[str, Mesh], license: str) -> dict[str, An
         for name, mesh in meshes.items()
     ]
     return {
-        "version": VERSION, "format": plan.format, "count": plan.count, "key": plan.key.tolist(), "meshes": known,
+        "version": VERSION, "format": plan.format, "count": plan.frames, "key": plan.key.tolist(), "meshes": known,
         "sonar": _digest([*jax.tree.leaves(plan.sonar), np.asarray(plan.sonar.shape)]),
         "settings": dataclasses.asdict(plan.settings), "license": license,
     }  # fmt: skip
@@ -248,7 +253,7 @@ def _finish(target: Path, plan: Plan, facts: dict[str, Any]) -> None:
     summary = Summary()
 
     def manifest() -> Iterator[str]:
-        for line in _lines(target, plan.count):
+        for line in _lines(target, plan.frames):
             summary.add(line)
             line.pop("annotations", None)
             yield json.dumps(line) + "\n"
@@ -276,12 +281,12 @@ def _coco(target: Path, plan: Plan) -> Iterator[str]:
     ]
     yield f'{{"info": {json.dumps({"description": "made by sonarjax dataset"})},\n'
     yield f'"categories": {json.dumps(categories)},\n"images": ['
-    for line in _lines(target, plan.count):
+    for line in _lines(target, plan.frames):
         image = {"id": line["number"] + 1, "file_name": line["image"], "width": width, "height": height}
         yield f"{',' if line['number'] else ''}\n{json.dumps(image)}"
     yield '],\n"annotations": ['
     between = ""
-    for line in _lines(target, plan.count):
+    for line in _lines(target, plan.frames):
         for entry in line["annotations"]:
             place = (line["number"] * plan.settings.scenes + entry["instance"] - 1) * len(CLASSES)
             number = place + (entry["category_id"] - 1) % len(CLASSES) + 1

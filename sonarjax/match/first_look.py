@@ -38,7 +38,7 @@ class Sighting(NamedTuple):
 
     search: TargetSearch
     """The target."""
-    index: int
+    place: int
     """Number of the distance at which it matched best."""
     score: float
     """Its approximate correlation there."""

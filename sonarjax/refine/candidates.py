@@ -51,7 +51,7 @@ def look_closely(
     if first_look is not None:
         found = [first_look.best(np.asarray(picture, np.float32), mask) for picture in pictures]
         names = leading(found, config)
-        near = [{name: sightings[name].index for name in names} for sightings in found]
+        near = [{name: sightings[name].place for name in names} for sightings in found]
 
     def look(name: str) -> Look:
         return Look(*(locate(targets[name], p, mask, at[name]) for p, at in zip(pictures, near, strict=True)))

@@ -72,7 +72,7 @@ class Objects(NamedTuple):
 
     owner: Int[Array, "face"]
     """Number of the object, from 0."""
-    count: int
+    total: int
     """How many there are."""
 
 
@@ -100,7 +100,7 @@ def find_visible(
         if sonar.highlight_max_incidence < 90.0:
             cosine = incidence_cosine(intervals, segments, corners_of(fixed, table), azimuth)
             lit = lit_intervals(cosine, sonar.highlight_max_incidence)
-        items = max_items(mesh.crossings, by_facet is not False, 0 if objects is None else objects.count)
+        items = max_items(mesh.crossings, by_facet is not False, 0 if objects is None else objects.total)
         owner = None
         if objects is not None:
             owner = objects.owner[jnp.take_along_axis(table, jnp.maximum(intervals.winner, 0), axis=1)]
@@ -161,7 +161,7 @@ def render_objects(
         hidden = covered(*occluded_spans, spans.occluded_spans & (of_occluded == number), rows)
         return ObjectLayers(_per_beam(slabs, shown), _per_beam(slabs, hidden))
 
-    return frame, jax.lax.map(layers, jnp.arange(objects.count))
+    return frame, jax.lax.map(layers, jnp.arange(objects.total))
 
 
 class EchoLayers(NamedTuple):

@@ -72,7 +72,7 @@ class Reduction:
 
 
 def reduce_mesh(mesh: Mesh, tolerance: float) -> Reduction:
-    """The mesh with as few triangles as keep 99 % of its surface within `tolerance` [m], and all within four times that.
+    """The mesh with as few triangles as keep 99 % of its surface within `tolerance` [m], all within four times that.
 
     Measured both ways between the surfaces (`surface_distance`), so that neither a lost part nor a bridged hole passes.
     Raises SonarjaxError unless `tolerance` is a positive number, for a batch, and for a mesh with reflectivities: which

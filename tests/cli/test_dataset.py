@@ -25,7 +25,8 @@ def arguments(place, tmp_path):
     [
         (["--format", "tiff"], "invalid choice: 'tiff'"), (["--count", "0"], "expected a number from 1"),
         (["--count", "2.5"], "whole number"), (["--shard", "3/2"], "expected I/N"), (["--shard", "x"], "expected I/N"),
-        (["--scenes", "0"], "from 1 to 32"), (["--severity", "-1"], "from 0 to 10"), (["--seed", "0.5"], "whole number"),
+        (["--scenes", "0"], "from 1 to 32"), (["--severity", "-1"], "from 0 to 10"),
+        (["--seed", "0.5"], "whole number"),
         (["--sensor", "best"], "invalid choice"), (["--cluster", "somewhere"], "expected local, local:N"),
         (["--cluster", "tcp://127.0.0.1:1"], "no scheduler answers"),
     ],
