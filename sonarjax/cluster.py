@@ -39,9 +39,7 @@ class ClusterEngine(CpuEngine):
         """Threads of all workers that are there now."""
         return sum(self.client.nthreads().values())
 
-    def stream(
-        self, function: Callable[[Any, Any, Engine], Any], shared: Any, items: Iterable[Any]
-    ) -> Iterator[Any]:
+    def stream(self, function: Callable[[Any, Any, Engine], Any], shared: Any, items: Iterable[Any]) -> Iterator[Any]:
         """As `Engine.stream`; the first item alone, since its worker compiles for the others on its machine.
 
         Raises what `function` raises, and SonarjaxError when the scheduler is gone, or has no worker for too long.
@@ -112,7 +110,9 @@ def connect(address: str) -> Iterator[ClusterEngine]:
     workers = int(match[1]) if match and match[1] else cores()
     if workers < 1:
         raise SonarjaxError("--cluster: expected local:N with N of 1 or more")
-    with dask.config.set({"distributed.scheduler.allowed-failures": DEATHS, "distributed.logging.distributed": "error"}):
+    with dask.config.set(
+        {"distributed.scheduler.allowed-failures": DEATHS, "distributed.logging.distributed": "error"}
+    ):
         if match:
             with (
                 LocalCluster(

@@ -178,9 +178,7 @@ class CpuEngine(Engine):
         with ThreadPoolExecutor(min(cores(), len(items))) as pool:
             return list(pool.map(one, items))
 
-    def stream(
-        self, function: Callable[[Any, Any, Engine], Any], shared: Any, items: Iterable[Any]
-    ) -> Iterator[Any]:
+    def stream(self, function: Callable[[Any, Any, Engine], Any], shared: Any, items: Iterable[Any]) -> Iterator[Any]:
         """As `Engine.stream`, with a thread for each core; the first alone, since it compiles for the others."""
         rest = iter(items)
         for first in rest:

@@ -23,9 +23,7 @@ class Engine:
         """[function(item) for item in items]."""
         return [function(item) for item in items]
 
-    def stream(
-        self, function: Callable[[Any, Any, Engine], Any], shared: Any, items: Iterable[Any]
-    ) -> Iterator[Any]:
+    def stream(self, function: Callable[[Any, Any, Engine], Any], shared: Any, items: Iterable[Any]) -> Iterator[Any]:
         """`function(shared, item, engine)` of each item in order, few at a time: the memory does not grow with them.
 
         `function` stands in a module, for an engine may run it in another process; `engine` is that of the process.

@@ -122,6 +122,18 @@ def test_an_error_of_an_item_is_the_error_of_the_stream():
         list(engine.stream(stumble, 3, range(10)))
 
 
+def cache_in_use(shared: None, item: int, engine: object) -> tuple[str, int]:
+    """Where this process keeps compiled code."""
+    return str(jax.config.jax_compilation_cache_dir), os.getpid()
+
+
+@pytest.mark.slow
+def test_workers_share_the_cache_of_compiled_code():
+    with connect("local:2") as engine:
+        found = list(engine.stream(cache_in_use, None, range(20)))
+    assert {folder for folder, _ in found} == {str(jax.config.jax_compilation_cache_dir)}
+
+
 @pytest.fixture
 def place(tmp_path) -> Path:
     """A folder with a sonar, a brick, and frames of it."""
@@ -153,13 +165,14 @@ def test_a_data_set_of_workers_that_are_killed_is_that_of_one_process(place):
     how = {"key": jax.random.key(3), "settings": FrameSettings(scenes=2), "format": "npz"}
     assert make_dataset(meshes, sonar, place / "one", 160, **how)
     with connect("local:2") as engine:
-        stop = threading.Event()
+        stop, killed = threading.Event(), list[int]()
 
         def kill() -> None:
             while not stop.is_set() and not list(place.glob("many/parts/0*.jsonl")):
                 time.sleep(0.01)
             for _ in range(2):
-                os.kill(next(iter(engine.client.run(os.getpid).values())), signal.SIGKILL)
+                killed.append(next(iter(engine.client.run(os.getpid).values())))
+                os.kill(killed[-1], signal.SIGKILL)
                 stop.wait(1.0)
 
         killer = threading.Thread(target=kill)
@@ -167,6 +180,7 @@ def test_a_data_set_of_workers_that_are_killed_is_that_of_one_process(place):
         assert make_dataset(meshes, sonar, place / "many", 160, engine=engine, **how)
         stop.set()
         killer.join()
+    assert len(set(killed)) == 2
     assert content(place / "many") == content(place / "one")
 
 
@@ -211,7 +225,9 @@ def experiment(folder: Path, *arguments: object) -> list[dict]:
 @pytest.mark.slow
 @pytest.mark.parametrize("seeds", [(0,), (0, 1)], ids=["parts", "seeds"])
 def test_an_experiment_on_a_cluster_is_that_of_one_process(tmp_path, seeds):
-    one, many = (experiment(tmp_path / n, "--seeds", *seeds, *o) for n, o in (("a", ()), ("b", ("--cluster", "local:2"))))
+    one, many = (
+        experiment(tmp_path / n, "--seeds", *seeds, *o) for n, o in (("a", ()), ("b", ("--cluster", "local:2")))
+    )
     assert one == many and len(one) == len(seeds)
     arrays = [sorted(p.relative_to(tmp_path / n) for p in (tmp_path / n).rglob("*.npz")) for n in "ab"]
     assert arrays[0] == arrays[1]

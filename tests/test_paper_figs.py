@@ -15,7 +15,7 @@ from matplotlib import rc_context
 from matplotlib.image import AxesImage
 from skimage.io import imread
 
-from experiments import evaluate_segmenters, fit_threshold, reproduce_paper
+from experiments import bench_dataset, evaluate_segmenters, fit_threshold, reproduce_paper
 from experiments.common import paper
 from experiments.common.tables import correlation_table, receiver_curve
 from paper_figs import baseline, index, readme, report, style
@@ -205,6 +205,12 @@ def make_shapes(runs: Path, rng: np.random.Generator) -> None:
     finish(runs, "shape_from_frames", report, body_0=body | {"score": rng.random(7)})
 
 
+def make_dataset_bench(runs: Path, rng: np.random.Generator) -> None:
+    rows = [row(rng, *bench_dataset.HEADS, format="coco", scenes=1)]
+    pictures = {name: rng.integers(0, 3, (2, 16, 8), np.uint8) for name in ("image", "labels", "instances")}
+    finish(runs, "bench_dataset", {"rows": rows, "memory": [], "cores": 2}, frames=pictures)
+
+
 def make_thresholds(runs: Path, rng: np.random.Generator, preset: str = "full") -> None:
     rows = [row(rng, *fit_threshold.HEADS, segmenter="pix2pix", threshold=0.7654)]
     finish(runs, "fit_threshold", {"rows": rows}, preset=preset)
@@ -224,6 +230,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
         make_poses,
         make_tracks,
         make_shapes,
+        make_dataset_bench,
     ):
         make(folder, rng)
     return folder

@@ -71,7 +71,9 @@ def measured_parts(asked: Asked, parts: Sequence[str], engine: Engine) -> tuple[
             asked.work.start(_Replay(Path(folder), asked.seed, asked.known, parts))
         except _Measured as found:
             return found.values, _files(Path(folder))
-    raise RuntimeError(f"{asked.work.module}: no part is called {parts[0]!r}: it depends on more than seed and settings")
+    raise RuntimeError(
+        f"{asked.work.module}: no part is called {parts[0]!r}: it depends on more than seed and settings"
+    )
 
 
 def measured_seeds(engine: Engine, work: Work, seeds: Sequence[int]) -> Iterator[tuple[dict[str, Any], Files]]:

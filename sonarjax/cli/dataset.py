@@ -42,9 +42,7 @@ def add(commands: Any) -> None:
         "--severity", metavar="S", type=partial(limited, low=0.0, high=10.0), default=1.0,
         help="noise: 0 none, 1 as hard as the paper's frames (default)",
     )  # fmt: skip
-    command.add_argument(
-        "--seed", metavar="S", type=partial(count, low=0, high=2**31), default=0, help="default: 0"
-    )
+    command.add_argument("--seed", metavar="S", type=partial(count, low=0, high=2**31), default=0, help="default: 0")
     command.add_argument(
         "--shard", metavar="I/N", type=_shard, default=(1, 1), help="make part I of N; all go to the same folder"
     )

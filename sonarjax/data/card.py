@@ -90,7 +90,7 @@ def card_text(facts: dict[str, Any], summary: Summary, axes: Axes) -> str:
         "# Simulated sonar frames", "",
         f"{summary.frames} frames of {shape[0]} range bins by {shape[1]} beams ({numbers} objects), format "
         f"{facts['format']}. Made by `sonarjax dataset`: no real frame is among them.", "",
-        f"![The first frames, and what is in them](contact_sheet.png)", "",
+        "![The first frames, and what is in them](contact_sheet.png)", "",
         "Each frame, and beside it what is seen of its objects: highlight in an object's colour, shadow darker.", "",
         f"Licence: {facts['license'] or UNSTATED}.", "",
         "## Files", "", CONTENTS[facts["format"]] + ".", "",

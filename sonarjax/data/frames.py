@@ -9,12 +9,13 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.random import fold_in
 from jaxtyping import Array, Float, UInt8
 
-from sonarjax.data.layout import Limits, draw_layout, join_layout
+from sonarjax.data.layout import Limits, draw_layout, join_layout, touched_beams
 from sonarjax.engine import Engine
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.render import RenderQuality, SonarFrame, Window
+from sonarjax.render import RenderQuality, Window
 from sonarjax.render.window import render_objects
 from sonarjax.scene import Mesh, Pose
 from sonarjax.sensor import SensorModel, observe, render_bounces, with_skirts
@@ -26,8 +27,11 @@ MOST_SCENES = 32
 """Most objects in a frame."""
 SENSORS = ("nominal", "drawn", "wide")
 """Whose frames: one device, `SensorModel.nominal`; a device for each frame, `SensorModel.draw`, or `draw_wide`."""
-ROOMS = (1, 2, 4, 8, 64)
-"""How much more room for triangles a frame is given, one after the other, until none is left out."""
+ROOMS = (1, 2, 4, 16, 64)
+"""How much more room for triangles a frame is given, one after the other, until none is left out. Most frames need no
+more than one object does: seldom does a slice cross several."""
+AGAIN = 4
+"""Frames of a call with more room."""
 
 
 @dataclass(frozen=True)
@@ -79,56 +83,63 @@ def draw_chunk(
 ) -> Drawn:
     """The frames `chunk` · CHUNK and on, as NumPy arrays; a frame is the same whatever is drawn beside it.
 
-    `meshes` (mesh, ...) are those of `stack_meshes`, `key` is a key's data. Raises SonarjaxError when a slice crosses more triangles than
-    there can be room for.
+    `meshes` (mesh, ...) are those of `stack_meshes`, `key` is a key's data. Raises SonarjaxError when a slice crosses
+    more triangles than there can be room for.
     """
+    columns = touched_beams(meshes, sonar, limits) if settings.scenes == 1 else None
+    args = meshes, sonar, jnp.asarray(limits, jnp.float32), key
+
+    def drawn(numbers: np.ndarray, room: int) -> Drawn:
+        static = {"settings": settings, "room": room, "columns": columns}
+        # Copies, because arrays of JAX cannot be written to.
+        return Drawn(*(np.array(v) for v in engine.run(_draw_frames, *args, numbers, **static)))
+
     numbers = np.uint32(chunk * CHUNK) + np.arange(CHUNK, dtype=np.uint32)
-    found: Drawn | None = None
-    for room in ROOMS:
-        args = (meshes, sonar, jnp.asarray(limits, jnp.float32), key, numbers)
-        drawn = Drawn(*(np.asarray(v) for v in engine.run(_draw_frames, *args, settings=settings, room=room)))
+    found = drawn(numbers, ROOMS[0])
+    for room in ROOMS[1:]:
         # A frame keeps the least room that is enough, however much its neighbours need.
-        found = drawn if found is None else _filled(found, drawn)
-        if not found.overflow.any():
-            return found
-    raise SonarjaxError(
-        f"data set: frames {chunk * CHUNK} and on: {found.overflow.max() if found else 0} triangles of a slice have no "
-        "room: expected a simpler mesh"
-    )
+        full = np.flatnonzero(found.overflow > 0)
+        for start in range(0, len(full), AGAIN):
+            places = full[start : start + AGAIN]
+            again = drawn(np.resize(numbers[places], AGAIN), room)
+            for kept, new in zip(found, again, strict=True):
+                kept[places] = new[: len(places)]
+    if (found.overflow > 0).any():
+        raise SonarjaxError(
+            f"data set: frames {chunk * CHUNK} and on: {found.overflow.max()} triangles of a slice have no room: "
+            "expected a simpler mesh"
+        )
+    return found
 
 
-def _filled(found: Drawn, drawn: Drawn) -> Drawn:
-    """`drawn` where `found` had no room."""
-    full = found.overflow > 0
-    return Drawn(
-        *(np.where(full.reshape(-1, *[1] * (a.ndim - 1)), b, a) for a, b in zip(found, drawn, strict=True))
-    )
-
-
-@partial(jax.jit, static_argnames=("settings", "room"))
+@partial(jax.jit, static_argnames=("settings", "room", "columns"))
 def _draw_frames(
-    meshes: Mesh, sonar: Sonar, limits: Array, key: Array, numbers: Array, settings: FrameSettings, room: int
-) -> tuple[Array, ...]:
+    meshes: Mesh, sonar: Sonar, limits: Array, key: Array, numbers: Array, settings: FrameSettings, room: int,
+    columns: int | None,
+) -> tuple[Array, ...]:  # fmt: skip
     root = jax.random.wrap_key_data(key)
     at_once = None if jax.default_backend() == "cpu" else len(numbers)
 
     def one(number: Array) -> tuple[Array, ...]:
-        return tuple(_draw_frame(meshes, sonar, Limits(*limits), settings, room, key=jax.random.fold_in(root, number)))
+        return tuple(_draw_frame(meshes, sonar, Limits(*limits), settings, room, columns, key=fold_in(root, number)))
 
     return jax.lax.map(one, numbers, batch_size=at_once)
 
 
 def _draw_frame(
-    meshes: Mesh, sonar: Sonar, limits: Limits, settings: FrameSettings, room: int, *, key: Array
-) -> Drawn:
+    meshes: Mesh, sonar: Sonar, limits: Limits, settings: FrameSettings, room: int, columns: int | None, *,
+    key: Array,
+) -> Drawn:  # fmt: skip
     layout_key, model_key, noise_key = jax.random.split(key, 3)
     layout = draw_layout(meshes, sonar, limits, settings.scenes, key=layout_key)
     model = _draw_model(settings, key=model_key)
     mesh, objects = join_layout(meshes, layout, room)
 
     def reaching(aperture: Array) -> Any:
-        wider = sonar.replace(elevation_aperture=aperture)
-        return render_objects(mesh, objects, Pose(), wider, Window(0, 0, sonar.shape), settings.quality)
+        window = Window(0, 0, sonar.shape, columns)
+        return render_objects(
+            mesh, objects, Pose(), sonar.replace(elevation_aperture=aperture), window, settings.quality
+        )
 
     # One after the other, so that the renderer is compiled once.
     apertures = [jnp.asarray(s.elevation_aperture, jnp.float32) for s in (sonar, with_skirts(sonar))]
@@ -160,4 +171,3 @@ def _draw_model(settings: FrameSettings, *, key: Array) -> SensorModel:
         return SensorModel.nominal(settings.severity)
     draw = SensorModel.draw if settings.sensor == "drawn" else SensorModel.draw_wide
     return draw(key=key, severity=settings.severity)
-

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Int
 
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.records import record
@@ -23,12 +23,14 @@ from sonarjax.sonar import Sonar
 
 TRIES = 64
 """Places that are drawn for an object; it is left out where all of them are taken."""
+SPARE_BEAMS = 4
+"""Beams on top of what an object touches: for the places between those that were looked at, and cut beams."""
 GAP_M = 0.02
 """Least distance between the circles around two objects [m]."""
 OUTERMOST = 0.9
 """Share of the field of view, and of the lit ranges, in which the objects' origins lie."""
-MOST_EXACT = 32
-"""Room for the triangles that one slice crosses, to begin with: of several objects seldom all are in one slice."""
+AROUND = 64
+"""Points of a circle, by which its azimuths are found."""
 
 
 class Limits(NamedTuple):
@@ -76,6 +78,28 @@ def placement_limits(sonar: Sonar, name: str = "sonar") -> Limits:
     return Limits(near + margin, far - margin, float(azimuth.min()), float(azimuth.max()))
 
 
+def touched_beams(meshes: Mesh, sonar: Sonar, limits: Limits) -> int | None:
+    """Upper bound of the beams that one object of `meshes` (mesh, ...) touches anywhere; None for all of them.
+
+    Of the cylinders around the objects' origins, at places all over the limits.
+    """
+    if float(sonar.roll) != 0.0:
+        return None
+    slant, azimuth = np.meshgrid(np.linspace(*limits[:2], 9), np.linspace(*limits[2:], 9))
+    x, y = (np.asarray(v)[..., None, None] for v in floor_point(slant, azimuth, sonar))
+    around = np.linspace(0, 2 * math.pi, AROUND)
+    radius = float(np.max(np.asarray(meshes.radius))) / math.cos(math.pi / AROUND)  # the circle is inside its polygon
+    heights = np.array([[0.0], [max(0.0, float(np.max(np.asarray(meshes.top))))]])
+    tilt = float(sonar.tilt)
+    forward = math.cos(tilt) * (x + radius * np.cos(around)) + math.sin(tilt) * (float(sonar.height) - heights)
+    if (forward <= 0).any():
+        return None
+    seen = np.arctan2(y + radius * np.sin(around), forward)
+    width = np.ptp(seen.reshape(*seen.shape[:2], -1), axis=-1).max()
+    beams = math.ceil(width / float(np.diff(np.asarray(sonar.azimuth)).min(initial=math.inf))) + SPARE_BEAMS
+    return beams if beams < sonar.n_beams else None
+
+
 def draw_layout(meshes: Mesh, sonar: Sonar, limits: Limits, scenes: int, *, key: Array) -> Layout:
     """One to `scenes` objects of `meshes` (mesh, ...) at random places and yaws; none overlaps another.
 
@@ -108,8 +132,8 @@ def draw_layout(meshes: Mesh, sonar: Sonar, limits: Limits, scenes: int, *, key:
 def join_layout(meshes: Mesh, layout: Layout, room: int) -> tuple[Mesh, Objects]:
     """One mesh in the ground frame of the objects that are there, and which triangle is whose.
 
-    What is not there shrinks to a point of the first object, where nothing sees it. `room` times as many triangles
-    have room in a slice as should be enough.
+    What is not there shrinks to a point of the first object, where nothing sees it. There is room for `room` times as
+    many triangles in a slice as one object can have there.
     """
     count = len(layout.there)
     picked = jax.tree.map(lambda v: v[layout.mesh], meshes)
@@ -125,7 +149,7 @@ def join_layout(meshes: Mesh, layout: Layout, room: int) -> tuple[Mesh, Objects]
         closed=picked.closed.all(),
         radius=picked.radius.max(),
         top=picked.top.max(),
-        crossings=min(room * max(meshes.crossings, min(count * meshes.crossings, MOST_EXACT)), count * n_faces),
+        crossings=min(room * meshes.crossings, count * n_faces),
         front=min(room * count * meshes.front, count * n_faces),
         events=count * min(meshes.events, picked.crease.shape[1]),
         intersecting=meshes.intersecting,  # the objects stand apart

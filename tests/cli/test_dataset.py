@@ -65,7 +65,7 @@ def finish(process: subprocess.Popen[str]) -> None:
 
 @pytest.mark.slow
 def test_killed_again_and_again_nothing_is_lost_or_double(place, arguments, tmp_path):
-    options = "--count 200 --scenes 3 --format coco".split()
+    options = ["--count", "200", "--scenes", "3", "--format", "coco"]
     finish(start(arguments, *options, "--out", tmp_path / "whole"))
     out = tmp_path / "cut"
     for parts in (1, 4, 8):
