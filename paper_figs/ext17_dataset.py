@@ -14,8 +14,8 @@ from paper_figs.shared import Number, listed, load
 
 ITEM = "Ext. 17"
 CAPTION = (
-    "Frames of `sonarjax dataset --scenes 3`, a device drawn for each (above), and what is seen of each object (below): "
-    "its highlight in a colour of its own, its shadow darker. Polar view, near below, port on the left."
+    "Frames of `sonarjax dataset --scenes 3`, a device drawn for each (above), and what is seen of each object "
+    "(below): its highlight in a colour of its own, its shadow darker. Polar view, near below, port on the left."
 )
 EXPERIMENTS = ("bench_dataset",)
 COLORS = (style.ORANGE, style.SKY, style.GREEN)

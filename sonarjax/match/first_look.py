@@ -47,7 +47,7 @@ class Sighting(NamedTuple):
 def leading(found: Sequence[Mapping[str, Sighting]], config: SearchConfig) -> list[str]:
     """Names of the targets to look at closely, best first: by what was `found` in the map, and in the frame itself.
 
-    See `SearchConfig.candidates` and `lead`, which come from validation frames (experiments/fit_candidates.py).
+    See `SearchConfig.candidates` and `lead`.
     """
     short = {name: np.inf for name in found[0]}
     for share, sightings in zip(LEADS, found, strict=False):
