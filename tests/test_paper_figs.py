@@ -18,7 +18,7 @@ from skimage.io import imread
 from experiments import bench_dataset, evaluate_segmenters, fit_threshold, reproduce_paper
 from experiments.common import paper
 from experiments.common.tables import correlation_table, receiver_curve
-from paper_figs import baseline, index, readme, report, style
+from paper_figs import baseline, docs_slice, index, readme, report, style
 from paper_figs.__main__ import main
 from paper_figs.shared import load
 from sonarjax.io import SonarjaxError, write_npz
@@ -246,11 +246,39 @@ def test_every_item_has_a_script() -> None:
 
 
 def test_every_script_is_indexed_and_every_row_has_a_script(runs: Path) -> None:
-    others = {"__init__", "__main__", "baseline", "index", "matrix", "readme", "report", "shared", "solid", "style"}
+    others = {
+        "__init__",
+        "__main__",
+        "baseline",
+        "docs_slice",
+        "index",
+        "matrix",
+        "readme",
+        "report",
+        "shared",
+        "solid",
+    }
+    others |= {"style"}
     files = {path.stem for path in (PROJECT / "paper_figs").glob("*.py")}
     assert files - others == set(index.scripts())
     shown = {cells[1].strip("`") for cells in index.rows(runs)}
     assert shown == {f"{name}.py" for name in index.scripts()}
+
+
+def test_drawn_slice_shows_what_a_ray_would_meet() -> None:
+    """The faces that are seen, by hand: front and top of each box, and the front of the far one above the near one."""
+    seen = np.concatenate(
+        [docs_slice._point(piece) for piece in docs_slice._visible(*docs_slice.slice_of_boxes()[::-1])]
+    )
+    (near, near_x), (far, far_x) = docs_slice.BOXES
+    fronts = [x - size[0] / 2 for size, x in ((near, near_x), (far, far_x))]
+    height = docs_slice.HEIGHT_M
+    grazing = height + (fronts[1] / (near_x + near[0] / 2)) * (near[2] - height)  # the ray over the near box's far edge
+    on_far_front = seen[np.abs(seen[:, 0] - fronts[1]) < 1e-3]
+    assert on_far_front[:, 1].min() == pytest.approx(grazing, abs=2e-3)  # the slice is a little off the middle
+    assert on_far_front[:, 1].max() == pytest.approx(far[2], abs=2e-3)
+    assert seen[np.abs(seen[:, 0] - fronts[0]) < 1e-3][:, 1].min() == pytest.approx(0.0, abs=2e-3)
+    assert len(docs_slice.draw().axes) == 3
 
 
 @pytest.mark.parametrize("name", index.scripts())
