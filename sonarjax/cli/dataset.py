@@ -6,15 +6,13 @@ import argparse
 import re
 import sys
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from sonarjax.cli.arguments import add_unit, count, limited
 from sonarjax.cli.frames import CLUSTER_HELP, engine_of, start_jax
-from sonarjax.io import SonarjaxError, say
-
-FORMATS = ("png", "npz", "coco", "yolo")
-SENSORS = ("nominal", "drawn", "wide")
+from sonarjax.cli.targets import mesh_files
+from sonarjax.data import FORMATS, SENSORS
+from sonarjax.io import say
 
 
 def add(commands: Any) -> None:
@@ -24,7 +22,9 @@ def add(commands: Any) -> None:
         epilog="the same command goes on where a run was cut off; exit codes: 0 done; 2 input that cannot be used",
     )  # fmt: skip
     command.set_defaults(run=run)
-    command.add_argument("meshes", metavar="MESH", nargs="+", help="surfaces that trimesh reads; a name each")
+    command.add_argument(
+        "meshes", metavar="MESH", nargs="+", help="surfaces that trimesh reads, or folders of them; a name each"
+    )
     command.add_argument("--sonar", metavar="S.toml", required=True, help="the sonar and its geometry")
     command.add_argument(
         "--count", metavar="N", required=True, type=partial(count, high=2**31), help="number of frames"
@@ -71,10 +71,7 @@ def run(args: argparse.Namespace) -> int:
 
     sonar = Sonar.from_toml(args.sonar)
     meshes: dict[str, Mesh] = {}
-    for path in args.meshes:
-        name = Path(path).stem
-        if name in meshes:
-            raise SonarjaxError(f"{path}: another mesh is called {name!r} too: expected a file name of its own")
+    for name, path in mesh_files(args.meshes, "MESH").items():
         meshes[name] = Mesh.load(path, args.unit_m)
         check_fits(meshes[name], sonar, path)
     settings = FrameSettings(args.scenes, args.sensor, args.severity)

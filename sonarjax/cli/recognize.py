@@ -12,7 +12,7 @@ from typing import Any
 
 from sonarjax.cli.arguments import EXITS, FRAME_HELP, add_unit, correlation
 from sonarjax.cli.frames import CLUSTER_HELP, Lazy, each_frame, engine_of, start_jax
-from sonarjax.cli.targets import target_files
+from sonarjax.cli.targets import mesh_files
 from sonarjax.io import JsonLines, SonarjaxError, check_outputs, complain, naming
 from sonarjax.results import SCHEMA, record_of
 from sonarjax.segment import DEFAULT_SEGMENTER, SEGMENTERS
@@ -52,7 +52,7 @@ def add(commands: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the command; returns its exit code. Raises SonarjaxError for input that cannot be used."""
-    files = target_files(args.target)
+    files = mesh_files(args.target, "--target")
     check_outputs({"--out": args.out}, (*args.frames, *files.values(), args.sonar))
     if args.track and len(files) > 1:
         raise SonarjaxError(f"--track: expected a single --target, got {len(files)} meshes")

@@ -1,4 +1,4 @@
-"""The meshes that `--target` names: files, or folders of them."""
+"""Meshes that the command line names: files, or folders of them."""
 
 from __future__ import annotations
 
@@ -11,26 +11,28 @@ MESH_ENDINGS = (".stl", ".obj", ".ply", ".off", ".glb", ".gltf", ".3mf")
 """Endings of the files of a folder that are taken for meshes."""
 
 
-def target_files(given: Sequence[str]) -> dict[str, str]:
+def mesh_files(given: Sequence[str], option: str) -> dict[str, str]:
     """Mesh files by the stem of their names, in the order given; those of a folder in that of their names.
+
+    `option` is what gave them, for messages.
 
     Raises SonarjaxError for a folder without meshes, or where two files have one stem.
     """
     files: dict[str, str] = {}
     for one in given:
-        for path in _of_folder(Path(one)) if Path(one).is_dir() else [one]:
+        for path in _of_folder(Path(one), option) if Path(one).is_dir() else [one]:
             stem = Path(path).stem
             if stem in files:
                 raise SonarjaxError(
-                    f"--target: {files[stem]} and {path} are both called {stem!r}: expected names that differ"
+                    f"{option}: {files[stem]} and {path} are both called {stem!r}: expected names that differ"
                 )
             files[stem] = path
     return files
 
 
-def _of_folder(folder: Path) -> list[str]:
+def _of_folder(folder: Path, option: str) -> list[str]:
     found = sorted(path for path in folder.iterdir() if path.suffix.lower() in MESH_ENDINGS and path.is_file())
     if not found:
         endings = ", ".join(MESH_ENDINGS)
-        raise SonarjaxError(f"--target: {folder}: expected a folder of meshes, there is no {endings} file in it")
+        raise SonarjaxError(f"{option}: {folder}: expected a folder of meshes, there is no {endings} file in it")
     return [str(path) for path in found]

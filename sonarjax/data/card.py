@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from jaxtyping import UInt8
-from PIL import Image
 
-from sonarjax.data.formats import CLASSES, Axes, Item
+from sonarjax.data.formats import CLASSES, Axes, Item, png_bytes
 from sonarjax.data.frames import CHUNK
 
 SHOWN, ACROSS = 8, 4
@@ -113,9 +111,7 @@ def contact_sheet(items: Sequence[Item]) -> bytes:
     tiles += [blank] * (-len(tiles) % min(ACROSS, len(tiles)))
     across = min(ACROSS, len(tiles))
     sheet = np.vstack([np.hstack(tiles[k : k + across]) for k in range(0, len(tiles), across)])
-    buffer = io.BytesIO()
-    Image.fromarray(sheet).save(buffer, format="PNG")
-    return buffer.getvalue()
+    return png_bytes(sheet)
 
 
 def _tile(item: Item) -> UInt8[np.ndarray, "row column 3"]:

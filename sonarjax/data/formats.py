@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -100,8 +100,17 @@ def category_names(names: Sequence[str]) -> list[str]:
     return [f"{name} {kind}" for name in names for kind in CLASSES]
 
 
-def png_bytes(image: UInt8[np.ndarray, "range beam"]) -> bytes:
-    """A grey picture (range, beam) as PNG."""
+def _seen(item: Item) -> Iterator[tuple[int, int, np.ndarray, list[int]]]:
+    """Instance, category, mask (range, beam) and box of all that is seen of each object."""
+    for instance, mesh in enumerate(item.meshes, 1):
+        for label in range(1, len(CLASSES) + 1):
+            mask = mask_of(item, instance, label)
+            if (box := box_of(mask)) is not None:
+                yield instance, category(mesh, label), mask, box
+
+
+def png_bytes(image: UInt8[np.ndarray, "row column *channel"]) -> bytes:
+    """A picture (row, column), grey, or (row, column, 3) in colour, as PNG."""
     buffer = io.BytesIO()
     Image.fromarray(np.ascontiguousarray(image)).save(buffer, format="PNG")
     return buffer.getvalue()
@@ -139,14 +148,11 @@ def _coco(item: Item, axes: Axes) -> tuple[Files, dict[str, Any]]:
     """The image; annotations wait in the line for the one file that COCO wants."""
     name = f"images/{item.number:08d}.png"
     annotations = []
-    for instance, mesh in enumerate(item.meshes, 1):
-        for label, _ in enumerate(CLASSES, 1):
-            mask = mask_of(item, instance, label)
-            if (box := box_of(mask)) is not None:
-                annotations.append({
-                    "image_id": item.number + 1, "category_id": category(mesh, label), "instance": instance,
-                    "bbox": box, "area": int(mask.sum()), "iscrowd": 0, "segmentation": run_lengths(mask),
-                })  # fmt: skip
+    for instance, number, mask, box in _seen(item):
+        annotations.append({
+            "image_id": item.number + 1, "category_id": number, "instance": instance, "bbox": box,
+            "area": int(mask.sum()), "iscrowd": 0, "segmentation": run_lengths(mask),
+        })  # fmt: skip
     return {name: png_bytes(item.image)}, {"image": name, "annotations": annotations}
 
 
@@ -154,13 +160,10 @@ def _yolo(item: Item, axes: Axes) -> tuple[Files, dict[str, Any]]:
     """The image, and a text file with a line for each box: category from 0 on, middle and size as shares."""
     height, width = item.image.shape
     lines = []
-    for instance, mesh in enumerate(item.meshes, 1):
-        for label, _ in enumerate(CLASSES, 1):
-            if (box := box_of(mask_of(item, instance, label))) is not None:
-                left, top, columns, rows = box
-                middle = (left + columns / 2) / width, (top + rows / 2) / height
-                numbers = *middle, columns / width, rows / height
-                lines.append(f"{category(mesh, label) - 1} {' '.join(f'{v:.6f}' for v in numbers)}\n")
+    for _, number, _, (left, top, columns, rows) in _seen(item):
+        middle = (left + columns / 2) / width, (top + rows / 2) / height
+        numbers = *middle, columns / width, rows / height
+        lines.append(f"{number - 1} {' '.join(f'{v:.6f}' for v in numbers)}\n")
     names = {"image": f"images/{item.number:08d}.png", "boxes": f"labels/{item.number:08d}.txt"}
     return {names["image"]: png_bytes(item.image), names["boxes"]: "".join(lines).encode()}, dict(names)
 

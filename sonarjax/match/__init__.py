@@ -7,7 +7,7 @@ records. `TargetSearch` holds the banks of one target at all distances; `FirstLo
 from sonarjax.match.decision import Decision, Peaks, between_bins, decide, peaks
 from sonarjax.match.first_look import FirstLook, Sighting, leading
 from sonarjax.match.lean import LeanMatch, LeanSearch, LeanSearchConfig
-from sonarjax.match.low_rank import LowRankBank, low_rank_bank, match_low_rank, match_low_rank_closely
+from sonarjax.match.low_rank import LowRankBank, low_rank_bank, match_low_rank
 from sonarjax.match.ncc import (
     MatchPositions,
     PreparedBank,
@@ -41,7 +41,6 @@ __all__ = [
     "low_rank_bank",
     "match_bank",
     "match_low_rank",
-    "match_low_rank_closely",
     "match_positions",
     "peaks",
     "prepare_bank",

@@ -25,8 +25,6 @@ SLACK_ROWS = 2
 """Coarse range bins beyond the middle between two distances that are searched."""
 SIZE_STEP = 16
 """Boxes are rounded up to so many coarse range bins and beams: few shapes to be compiled."""
-
-
 LEADS = (1.0, 0.5)
 """Share of `SearchConfig.lead` that counts on the map, and on the frame itself."""
 ALWAYS = 2
@@ -38,7 +36,7 @@ class Sighting(NamedTuple):
 
     search: TargetSearch
     """The target."""
-    place: int
+    distance_index: int
     """Number of the distance at which it matched best."""
     score: float
     """Its approximate correlation there."""
@@ -80,11 +78,6 @@ class FirstLook:
         self._reach = math.ceil(step) + SLACK_ROWS
         self._distances = [float(d) for d in first.distances[::every]]
         self._shelves: list[_Shelf] | None = None
-
-    @property
-    def distances(self) -> int:
-        """Number of distances that are looked at."""
-        return len(self._distances)
 
     @property
     def residual(self) -> float:

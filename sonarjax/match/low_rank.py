@@ -15,9 +15,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.match.masked import NEAR_CONSTANT
 from sonarjax.match.ncc import AnyArray, MatchPositions, PreparedBank, correlation_maps, prepare_bank
-from sonarjax.match.spectra import check_shapes, inverse_root, unit_templates
+from sonarjax.match.spectra import check_shapes, unit_templates
 from sonarjax.records import record
 
 PASSES, SPARE = 3, 8
@@ -76,17 +75,6 @@ def match_low_rank(image: Float[AnyArray, "range beam"], low_rank: LowRankBank) 
     return _match(image, low_rank)
 
 
-def match_low_rank_closely(image: Float[AnyArray, "range beam"], bank: Any, low_rank: LowRankBank) -> MatchPositions:
-    """As `match_low_rank` of `image` (range, beam), with eq. 4 itself where each template of `bank` fits best.
-
-    A score is that of a real window, so never above `match_bank`'s; below it by at most twice the `residual`, and by
-    nothing where the best window was found.
-    """
-    image, templates = jnp.asarray(image, jnp.float32), jnp.asarray(getattr(bank, "templates", bank), jnp.float32)
-    check_shapes(templates.shape, image.shape)
-    return _match_closely(image, templates, low_rank)
-
-
 @jax.jit
 def _match(image: Array, low_rank: LowRankBank) -> MatchPositions:
     maps = correlation_maps(image, low_rank.components)
@@ -103,18 +91,3 @@ def _match(image: Array, low_rank: LowRankBank) -> MatchPositions:
 
     found = jax.lax.map(chunk, padded)
     return MatchPositions(*(values.reshape(-1)[:count] for values in found))
-
-
-@jax.jit
-def _match_closely(image: Array, templates: Array, low_rank: LowRankBank) -> MatchPositions:
-    found = _match(image, low_rank)
-    faintest = NEAR_CONSTANT * jnp.sum(jnp.square(image - jnp.mean(image)))
-
-    def score(unit: Array, row: Array, column: Array) -> Array:
-        window = jax.lax.dynamic_slice(image, (row, column), unit.shape)
-        window = window - jnp.mean(window)
-        return jnp.vdot(window, unit) * inverse_root(jnp.sum(jnp.square(window)), faintest)
-
-    unit = unit_templates(templates)
-    scores = jax.lax.map(lambda one: score(*one), (unit, found.row, found.col), batch_size=CHUNK)
-    return found._replace(scores=scores)

@@ -33,6 +33,7 @@ from sonarjax.sonar import Sonar
 MIN_VALID = 0.5
 """Least share of a template's pixels that were measured, where part of the frame is masked."""
 NOT_SEEN = "{}: at no distance inside the sonar's view is any part of it visible"
+"""What is wrong with a target, whose name goes in."""
 MAX_DISTANCES = 1000
 """Most distances of the search, 100 m of floor: each costs a bank."""
 
@@ -138,12 +139,11 @@ class TargetSearch:
         again = self._match(closer, False, image, mask)
         return again if again.scores.max() > best.scores.max() else best
 
-    def forget(self) -> None:
-        """Let go of the banks that were rendered so far."""
-        self._banks.clear()
-
     def _in_view(self, index: int, masked: bool) -> int:
-        """The distance next to number `index` at which some of the object is in view."""
+        """The distance next to number `index` at which some of the object is in view.
+
+        Raises SonarjaxError when there is none.
+        """
         nearest_first = sorted(range(len(self.distances)), key=lambda k: abs(k - index))
         found = next((k for k in nearest_first if self._bank(k, False, masked) is not None), None)
         if found is None:

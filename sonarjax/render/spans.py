@@ -75,7 +75,7 @@ class Spans(NamedTuple):
 def max_items(crossings: int, by_facet: bool = False, objects: int = 0) -> tuple[int, int]:
     """How many echo spans, and how many occluded spans, a slice keeps; further ones are joined to the last.
 
-    A echo span shows at least a triangle or two, a body that stands alone more; `by_facet` one is enough. Where spans
+    An echo span shows at least a triangle or two, a body that stands alone more; `by_facet` one is enough. Where spans
     are told apart by object, each of the `objects` may end one more.
     """
     echo_spans = crossings if by_facet else crossings // 3

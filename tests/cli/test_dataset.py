@@ -42,7 +42,7 @@ def test_bad_arguments_end_with_2_and_write_nothing(complaint, arguments, tmp_pa
 def test_bad_files_end_with_2_and_write_nothing(complaint, place, arguments, tmp_path):
     assert "brick_mm.stl: the mesh is 190 m long" in complaint(2, *arguments, place / "brick_mm.stl")
     assert "absent.stl: no such mesh file" in complaint(2, *arguments, place / "absent.stl")
-    assert "another mesh is called 'brick'" in complaint(2, *arguments, place / "brick.stl")
+    assert "are both called 'brick'" in complaint(2, *arguments, place / "brick.stl")
     sky = tmp_path / "sky.toml"
     sky.write_text((place / "sonar.toml").read_text().replace("tilt_deg = 20.0", "tilt_deg = -20.0"))
     assert "sees no floor" in complaint(2, *arguments, "--sonar", sky)

@@ -48,7 +48,7 @@ def test_first_look_finds_the_target_and_its_distance(look: FirstLook, name: str
     mask[:5] = False
     found = look.best(image, mask if masked else None)
     assert max(found, key=lambda key: found[key].score) == name
-    assert abs(look.searches[0].distances[found[name].place] - math.hypot(2.35, 0.1)) <= 0.15
+    assert abs(look.searches[0].distances[found[name].distance_index] - math.hypot(2.35, 0.1)) <= 0.15
 
 
 def test_a_score_is_near_that_of_eq_4(look: FirstLook) -> None:

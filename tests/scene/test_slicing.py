@@ -6,7 +6,7 @@ import trimesh
 import trimesh.ray.ray_pyembree
 from trimesh.transformations import rotation_matrix
 
-from sonarjax.scene import objects
+from sonarjax.scene import objects, slicing
 from sonarjax.scene.slicing import has_crossing_triangles, most_crossings, most_front
 
 
@@ -67,3 +67,32 @@ def test_meshes_know_what_slices_will_meet():
     normal = np.cross(seen[:, 1] - seen[:, 0], seen[:, 2] - seen[:, 0])
     for direction in np.random.default_rng(1).normal(size=(20, 3)):
         assert (normal @ direction > 0).sum() <= ball.front
+
+
+def overlap_by_points(starts, ends):
+    """At every middle between two neighbouring ends, how many open intervals hold it."""
+    places = np.unique(np.concatenate([starts, ends]))
+    middles = (places[1:] + places[:-1]) / 2
+    return int(((starts[:, None] < middles) & (middles < ends[:, None])).sum(axis=0).max())
+
+
+def test_overlaps_are_those_of_every_place():
+    rng = np.random.default_rng(0)
+    for count in (1, 7, 300):
+        starts = rng.uniform(-1, 1, count).round(2)  # some of them touch
+        ends = starts + rng.uniform(0.01, 0.3, count).round(2)
+        exact = overlap_by_points(starts, ends)
+        assert slicing._deepest_overlap(starts, ends) == exact
+        by_bins = slicing._deepest_overlap_by_bins(starts, ends)
+        assert exact <= by_bins <= exact + count // 4  # what only touches counts too, and nothing is lost
+    assert slicing._deepest_overlap_by_bins(np.zeros(0), np.zeros(0)) == 0
+
+
+def test_fine_meshes_are_counted_as_others_are(monkeypatch):
+    ball = trimesh.creation.icosphere(5)
+    arrays = np.asarray(ball.vertices), np.asarray(ball.faces)
+    exact = most_crossings(*arrays, True), most_front(*arrays)
+    monkeypatch.setattr(slicing, "FINE", 100)
+    crossings, front = most_crossings(*arrays, True), most_front(*arrays)
+    assert exact[0] <= crossings <= 1.1 * exact[0]
+    assert front == pytest.approx(exact[1], rel=0.02)

@@ -1,0 +1,50 @@
+"""`sonarjax recognize` with several targets: which one is found, and targets that cannot be used."""
+
+import json
+
+import pytest
+
+
+@pytest.fixture
+def meshes(place, tmp_path):
+    """A folder with `brick.stl`, a `post.stl` three times as high and half as long, and a file that is no mesh."""
+    folder = tmp_path / "meshes"
+    folder.mkdir()
+    text = (place / "brick.stl").read_text()
+    (folder / "brick.stl").write_text(text)
+    (folder / "post.STL").write_text(text.replace("0.057", "0.171").replace("0.095", "0.0475"))
+    (folder / "notes.txt").write_text("words")
+    return folder
+
+
+@pytest.mark.parametrize("refined", [True, False])
+def test_several_targets_are_told_apart(command, meshes, place, rendered, tmp_path, refined):
+    out = tmp_path / "r.jsonl"
+    how = ["--sonar", place / "sonar.toml", "--out", out, "--segmenter", "none", *["--no-refine"][refined:]]
+    code, stdout, _ = command("recognize", rendered, "--target", meshes, *how)
+    (record,) = [json.loads(line) for line in out.read_text().splitlines()]
+    assert (code, stdout) == (0, ""), record
+    assert (record["target"], record["runner_up"]) == ("brick", "post")
+    assert record["margin"] > 0
+    assert record["x_m"] == pytest.approx(2.2, abs=0.05)
+
+
+def test_targets_that_cannot_be_used(complaint, meshes, place, tmp_path):
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    (empty / "notes.txt").write_text("words")
+    (tmp_path / "word.stl").write_text("words")
+    rest = ["--sonar", place / "sonar.toml", "--out", tmp_path / "r.jsonl"]
+    brick = place / "brick.stl"
+    for given, said in {
+        (brick, meshes): f"--target: {brick} and {meshes / 'brick.stl'} are both called 'brick'",
+        (empty,): f"--target: {empty}: expected a folder of meshes, there is no .stl, ",
+        (brick, tmp_path / "word.stl"): "word.stl: not an STL file",
+        (brick, "absent.obj"): "absent.obj: no such mesh",
+        (brick, place / "brick_mm.stl"): "brick_mm.stl: the mesh is ",
+    }.items():
+        options = [argument for one in given for argument in ("--target", one)]
+        assert said in complaint(2, "recognize", place / "a.npz", *options, *rest)
+    several = ["--target", meshes, "--track"]
+    assert "--track: expected a single --target, got 2" in complaint(2, "recognize", place / "a.npz", *several, *rest)
+    assert not (tmp_path / "r.jsonl").exists()
