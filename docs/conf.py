@@ -25,7 +25,9 @@ sys.path.insert(0, str(ROOT))
 import sonarjax  # noqa: E402
 
 project, author, release = "sonarjax", "The sonarjax authors", sonarjax.__version__
-extensions = ["myst_nb", "sphinx.ext.autodoc"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+napoleon_numpy_docstring = False
+napoleon_use_rtype = False
 root_doc = "docs/README"
 include_patterns = [
     "README.md", "CHANGELOG.md", "CONTRIBUTING.md", "docs/*.md", "docs/api/*", "notebooks/*", "experiments/README.md",

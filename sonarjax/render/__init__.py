@@ -1,4 +1,4 @@
-"""The simulator: exact visible profiles of azimuth slices, range bins, frames and the template bank (§2.1, eq. 1–2)."""
+"""The simulator: what each azimuth slice sees, range bins, frames and the template bank (§2.1, eq. 1–2)."""
 
 from sonarjax.render.bank import TemplateBank, bank_place, template_bank
 from sonarjax.render.energy import floor_angle

@@ -1,4 +1,4 @@
-"""The template bank: the object's semantic image at many yaws, cropped to one box (§2.1, §4.2, Fig. 7)."""
+"""The template bank: the object's semantic map at many yaws, cropped to one box (§2.1, §4.2, Fig. 7)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from sonarjax.scene import Mesh, Pose
 from sonarjax.sonar import Sonar
 
 BANK_QUALITY = RenderQuality(sub_beams=1)
-VIEWS = 9  # rendered by one call of the compiled function
+VIEWS = 9  # templates that one call of the compiled function renders
 TOUCHED = 0.01  # a pixel belongs to the object when its semantic value is this far from the background's
 
 
@@ -38,9 +38,9 @@ class TemplateBank:
     """Templates of one object at one place, for a list of yaws."""
 
     templates: Float[Array, "*batch yaw h w"]
-    """Semantic images (yaw, range, beam), all cropped to the same box."""
+    """Semantic maps (yaw, range, beam), all cropped to the same box."""
     yaws: Float[Array, "*batch yaw"]
-    """Absolute yaw of each template at the bank's place [rad]."""
+    """Absolute yaw of each template [rad], for an object at the bank's place."""
     offset: Int[Array, "*batch 2"]
     """Row and column of the box's first pixel in the frame."""
     x: Float[Array, "*batch"]
@@ -48,7 +48,7 @@ class TemplateBank:
     y: Float[Array, "*batch"]
     """Position to port of the object [m]."""
     tilt: Float[Array, "*batch"]
-    """Tilt of the sonar it was rendered for [rad]."""
+    """Tilt of the sonar for which the bank was rendered [rad]."""
 
     @property
     def bearing(self) -> Float[Array, "*batch"]:
@@ -76,14 +76,30 @@ def template_bank(
     size: WindowSize | None = None,
     engine: Engine = PLAIN,
 ) -> TemplateBank:
-    """Render the object at (x, y) [m] at each of `yaws` (yaw,) [rad], cropped to one box with a `margin` (bins, beams).
+    """Render the object at one place for each yaw, cropped to one box. A host function.
+    Views are rendered one after another in a window around the object, so memory grows only with the templates.
 
-    `z` [m], `roll` and `pitch` [rad] are those of all templates, or of each (yaw,).
+    Args:
+        mesh: The object.
+        sonar: The sonar that looks.
+        yaws: Absolute yaws (yaw,) [rad].
+        x: Forward position [m].
+        y: Position to port [m].
+        z: Height [m], one number or one for each yaw (yaw,).
+        roll: Roll [rad], one number or one for each yaw (yaw,).
+        pitch: Pitch [rad], one number or one for each yaw (yaw,).
+        quality: How finely to render.
+        margin: Range bins and beams around what the object touches at any yaw.
+        size: Size of the window to render. Banks at several places share compiled code if they share it. By default it
+            is planned for this place.
+        engine: Runs the compiled functions.
 
-    A host function. Views are rendered one after another in a window around the object, so memory grows only with the
-    templates; `size` is that window's, so that banks at several places share compiled code.
-    Raises SonarjaxError when `yaws` is empty or not finite, when z, roll or pitch are not finite or fit no `yaws`, or
-    the object is outside the sonar's view.
+    Returns:
+        The bank, with templates (yaw, range, beam).
+
+    Raises:
+        SonarjaxError: `yaws` is empty or not finite; z, roll or pitch is not finite or has another length than `yaws`;
+            or the object is outside the sonar's view.
     """
     yaws = np.atleast_1d(np.asarray(yaws, np.float32))
     if yaws.ndim != 1 or yaws.size == 0 or not np.isfinite(yaws).all():
@@ -102,12 +118,12 @@ def template_bank(
     bottom, right = min(last[0] + margin[0], size.shape[0] - 1), min(last[1] + margin[1], size.shape[1] - 1)
     crop = images[:, top : bottom + 1, left : right + 1]
     offset = np.array([row + top, column + left], np.int32)
-    # `device_put` compiles nothing, where `jnp.asarray` compiles a copy for every shape.
+    # `device_put` compiles nothing; `jnp.asarray` would compile a copy for every shape.
     return TemplateBank(*(jax.device_put(v) for v in (crop, yaws, offset, *place, np.float32(sonar.tilt))))
 
 
 def _attitudes(yaws: np.ndarray, others: dict[str, Any]) -> np.ndarray:
-    """Yaw, z, roll and pitch of each template (yaw, 4). Raises SonarjaxError where they do not fit."""
+    """Yaw, z, roll and pitch of each template (yaw, 4). Raises SonarjaxError for a wrong shape or a number not finite."""
     for name, value in others.items():
         if np.shape(value) not in ((), yaws.shape) or not np.isfinite(np.asarray(value)).all():
             raise SonarjaxError(f"{name}: expected a finite number or one for each of {len(yaws)} yaws")
@@ -115,14 +131,14 @@ def _attitudes(yaws: np.ndarray, others: dict[str, Any]) -> np.ndarray:
 
 
 class BankViews(NamedTuple):
-    """All views of a bank, on the host or as they come from the compiled function."""
+    """All views of a bank, as the compiled function returns them or as arrays on the host."""
 
     images: Any
-    """Semantic images (yaw, range, beam) of one window."""
+    """Semantic maps (yaw, range, beam) of one window."""
     corner: Any
     """Row and column of the window's first pixel."""
     overflow: Any
-    """As in `SonarFrame`, the largest of all views."""
+    """As in `SonarFrame`; the largest of all views."""
 
 
 def _all_views(
@@ -134,7 +150,9 @@ def _all_views(
     quality: RenderQuality,
     engine: Engine,
 ) -> BankViews:
-    """The views in parts of VIEWS, so that banks of any length share compiled code; the last part repeats its last."""
+    """Render all views, VIEWS at a time, so that banks of any length share compiled code. The last part is filled up by
+    repeating the last view.
+    """
     parts = -(-len(attitudes) // VIEWS)
     filler = np.repeat(attitudes[-1:], parts * VIEWS - len(attitudes), axis=0)
     padded = np.concatenate([attitudes, filler]).reshape(parts, VIEWS, -1)
@@ -173,7 +191,7 @@ def _touched_box(images: np.ndarray) -> tuple[tuple[int, int], tuple[int, int]] 
 
 
 def bank_place(bank: TemplateBank, sonar: Sonar) -> tuple[float, float]:
-    """Slant range [m] of the floor under the object's origin and its image azimuth [rad]: what matching shifts."""
+    """Slant range [m] of the floor under the object's origin, and its image azimuth [rad]: matching shifts these two."""
     return float(np.hypot(bank.ground_range, float(sonar.height))), float(_image_azimuth(bank.x, bank.y, sonar))
 
 

@@ -1,4 +1,4 @@
-"""Which triangles each slice may see: culling before any visibility test."""
+"""Which triangles each slice may see: a cheap selection before any visibility test."""
 
 from __future__ import annotations
 
@@ -6,15 +6,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-SHARED_LIMIT = 24  # up to this many triangles that look at the sonar, all slices share one list of them
+SHARED_LIMIT = 24  # up to this many triangles that face the sonar, all slices share one list of them
 DENSE_LIMIT = 256  # up to this many triangles, every (slice, triangle) pair is tested
 
 
 def front_faces(
     vertices: Float[Array, "vertex 3"], faces: Int[Array, "face 3"], closed: Bool[Array, ""]
 ) -> Bool[Array, "face"]:
-    """Triangles (face,) that can be seen from the sonar head: of a closed surface those that look at it, else all.
-
+    """Which triangles (face,) can be seen from the sonar head: those that face it; all of them if the surface is open.
     Vertices (vertex, 3) [m] are in the sonar frame. Padding (zero-area) triangles are never seen.
     """
     a, b, c = (vertices[faces[:, k]] for k in range(3))
@@ -31,12 +30,18 @@ def candidates(
     crossings: int,
     front: int,
 ) -> tuple[Int[Array, "slab_or_1 candidate"], Int[Array, ""]]:
-    """Triangle ids (slab, candidate) that the half-plane at each `azimuth` [rad] may cut; -1 fills what is left over.
+    """List the triangles that the half-plane of each slab may cut.
+    Args:
+        vertices: Vertices (vertex, 3) [m] in the sonar frame.
+        faces: Vertex numbers (face, 3) of the triangles.
+        seen: Which triangles (face,) to consider.
+        azimuth: Azimuth (slab,) [rad] of each half-plane.
+        crossings: Most triangles that a slice has room for.
+        front: Most triangles that face the sonar. Where this is small, one list (1, front) serves every slab.
 
-    And how many triangles the fullest slice had no room for.
-
-    `crossings` and `front` are the mesh's capacities. Where few triangles look at the sonar at all, one list (1,
-    front) of them serves every slab. Vertices (vertex, 3) [m] are in the sonar frame.
+    Returns:
+        Triangle ids (slab, candidate), filled up with -1, and the number of triangles for which the fullest slice had
+        no room.
     """
     if front <= max(SHARED_LIMIT, crossings):
         return _compacted(seen[None], front), _excess(seen[None], front)
@@ -54,19 +59,21 @@ def _cut(vertices: Array, faces: Array, azimuth: Array) -> Bool[Array, "slab fac
 
 
 def _excess(wanted: Bool[Array, "slab face"], limit: int) -> Int[Array, ""]:
-    """By how many the fullest slice exceeds the `limit`; 0 where all have room."""
+    """How many triangles too many the fullest slice has; 0 where all have room."""
     return jnp.maximum(wanted.sum(axis=1).max() - limit, 0).astype(jnp.int32)
 
 
 def _compacted(wanted: Bool[Array, "slab face"], limit: int) -> Int[Array, "slab candidate"]:
-    """Numbers of the wanted faces, in order."""
+    """Numbers of the wanted faces in ascending order, filled up with -1."""
     rank = jnp.cumsum(wanted, axis=1) - 1
     slot = wanted[:, None, :] & (rank[:, None, :] == jnp.arange(limit)[:, None])  # (slab, candidate, face)
     return (slot * jnp.arange(1, wanted.shape[1] + 1)).sum(-1) - 1
 
 
 def _sparse(vertices: Array, faces: Array, seen: Array, azimuth: Array, limit: int) -> tuple[Array, Array]:
-    """Each triangle is cut by a run of neighbouring slices; most small ones by none, and those cost nothing more."""
+    """As `candidates`, from a list of (slice, triangle) pairs.
+    A triangle is cut by consecutive slices. Most small triangles are cut by none, and these take no space in the list.
+    """
     ahead = jnp.searchsorted(azimuth, jnp.arctan2(vertices[:, 1], vertices[:, 0])).astype(jnp.int32)
     a, b, c = (ahead[faces[:, k]] for k in range(3))
     first, last = jnp.minimum(jnp.minimum(a, b), c), jnp.maximum(jnp.maximum(a, b), c)
@@ -81,6 +88,6 @@ def _sparse(vertices: Array, faces: Array, seen: Array, azimuth: Array, limit: i
     rank = jnp.arange(pairs) - jnp.searchsorted(slab, slab, side="left")
     table = jnp.full((len(azimuth), limit), -1, jnp.int32)
     crowded = jnp.where(slab < len(azimuth), rank + 1 - limit, 0).max()
-    left_over = -(-2 * (ends[-1] - pairs) // max(len(azimuth), 1))  # pairs beyond the list, as room a slice
+    left_over = -(-2 * (ends[-1] - pairs) // max(len(azimuth), 1))  # pairs that the list lacks, as room in each slice
     overflow = jnp.maximum(jnp.maximum(crowded, left_over), 0).astype(jnp.int32)
     return table.at[slab, rank].set(owner, mode="drop"), overflow

@@ -1,4 +1,4 @@
-"""The echo's energy per range bin (eq. 2): first hits of objects and of the floor, spread over their ranges."""
+"""The energy of the echo in each range bin (eq. 2): first hits of objects and of the floor, spread over their ranges."""
 
 from __future__ import annotations
 
@@ -13,15 +13,20 @@ from sonarjax.render.slabs import Slabs
 from sonarjax.render.spans import Ends, Scene, corners_of, floor_line, interval_range, trace_tau
 from sonarjax.sonar import Sonar
 
-USUAL_INTERVALS = 16  # of all the intervals that a slice might hold, about this many are seen
-NARROWEST = 0.05  # least spread of a cell [bins]: the sum along range keeps float32's digits
+USUAL_INTERVALS = 16  # a slice usually shows about this many intervals, however many it has room for
+NARROWEST = 0.05  # least extent of a cell [bins]: a narrower one would cost the sum along range too many digits
 DB_TO_NEPER = math.log(10.0) / 10.0
 
 
 def strength(
     distance: Float[Array, "*#batch"], cosine: Float[Array, "*#batch"], sonar: Sonar
 ) -> Float[Array, "*batch"]:
-    """Echo of a first hit at `distance` [m] (eq. 2 with I0 = k = 1): rⁿ spreading, absorption, Lambert's law."""
+    """Echo of a first hit (eq. 2 with I0 = k = 1): spreading, absorption and Lambert's law.
+    Args:
+        distance: Slant range [m].
+        cosine: Cosine of the angle of incidence [1].
+        sonar: Gives the spreading exponent, the absorption and Lambert's exponent.
+    """
     spread = distance ** (-jnp.asarray(sonar.spreading_exponent, jnp.float32))
     absorbed = jnp.exp(-2 * DB_TO_NEPER * sonar.absorption * distance)
     return spread * absorbed * jnp.maximum(cosine, 1e-6) ** jnp.asarray(sonar.lambert, jnp.float32)
@@ -31,11 +36,18 @@ def object_energy(
     ends: Ends, slabs: Slabs, scene: Scene, sonar: Sonar, elevations: int, edges: Float[Array, "edge"],
     reflectivity: Float[Array, "face"] | None = None,
 ) -> Float[Array, "slab range"]:  # fmt: skip
-    """Energy [rad/m²] per range bin of each slab, from the visible intervals' `ends`; `edges` (edge,) [m].
+    """Energy [rad/m²] that the object sends back into each range bin of each slab.
+    Each interval is cut into cells. A cell's energy is spread evenly over the ranges that it covers, and over those
+    that its surface passes across the slab.
 
-    Each interval is cut into cells, so that a slice has about `elevations` of them; a cell's energy is spread evenly
-    over the ranges it covers and what its surface moves in range across the slab. `reflectivity` (face,) multiplies
-    what each triangle sends back.
+    Args:
+        ends: Ends of the visible intervals, from `all_ends`.
+        slabs: The slabs.
+        scene: The surface and the view.
+        sonar: The sonar.
+        elevations: About how many cells a slice has.
+        edges: Edges (edge,) of the range bins [m].
+        reflectivity: Factor (face,) for the energy of each triangle.
     """
     intervals = ends.tau.shape[1] // 2
     cells = max(1, math.ceil(elevations / min(intervals, USUAL_INTERVALS)))
@@ -49,7 +61,7 @@ def object_energy(
         cell_ends, *along, has_aux=True
     )  # (slab, interval, cell end)
     slope = slope * slabs.width[:, None, None]
-    # The plane of a facet that is seen edge-on may pass close by the head: no point is beyond the facet's own corners.
+    # The plane of a facet seen edge-on may pass close to the head, so ranges are limited to those of its corners.
     near = jnp.clip(jnp.minimum(distance[..., 1:], distance[..., :-1]), nearest, farthest)
     far = jnp.clip(jnp.maximum(distance[..., 1:], distance[..., :-1]), nearest, farthest)
     angle = jnp.diff(jnp.arctan(tau), axis=-1)
@@ -58,8 +70,8 @@ def object_energy(
     energy = jnp.where(surface >= 0, energy, 0.0)
     if reflectivity is not None:
         energy = energy * reflectivity[jnp.maximum(surface, 0)]
-    # Half of the energy in each half of the slab. A box's spread over elevation and one over azimuth make a box here
-    # whose variance is the sum of theirs; one as wide as both together would smear narrow echoes.
+    # Each half of the slab gets half of the energy. The extents over elevation and over azimuth are joined into one box
+    # whose variance is the sum of theirs; a box as wide as both together would smear narrow echoes.
     centre, moved = (near + far) / 2, (slope[..., 1:] + slope[..., :-1]) / 8
     half = jnp.sqrt((far - near) ** 2 / 4 + moved**2 + 1e-14)
 
@@ -71,9 +83,10 @@ def object_energy(
 
 
 def _cells(ends: Ends, azimuth: Float[Array, "slab"], scene: Scene, cells: int) -> tuple[Array, ...]:
-    """Range [m], elevation tangent and cos(incidence) (slab, interval, cell end) at `azimuth` [rad].
-
-    Then the nearest and the farthest range [m] that each cell's facet reaches (slab, interval, cell).
+    """The cells of each interval at `azimuth` [rad].
+    Returns:
+        Range [m], elevation tangent and cosine of incidence, each (slab, interval, cell end), then the nearest and the
+        farthest range [m] that the cell's facet reaches, each (slab, interval, cell).
     """
     theta = azimuth[..., None]
     corners = corners_of(scene, ends.surface)
@@ -99,9 +112,8 @@ def _cells(ends: Ends, azimuth: Float[Array, "slab"], scene: Scene, cells: int) 
 
 
 def _spread(energy: Array, near: Array, far: Array, edges: Float[Array, "edge"]) -> Float[Array, "slab range"]:
-    """Energies (slab, cell) spread evenly over [near, far] [m], as the difference of two ramps at each edge.
-
-    The ramps are scattered at their ends and summed along range: the cost does not grow with the number of bins.
+    """Spread energies (slab, cell) evenly over [near, far] [m]: at each edge of a bin the difference of two ramps.
+    Only the ends of ramps are scattered, then summed along range, so the cost does not grow with the number of bins.
     """
     bins, step = len(edges) - 1, edges[1] - edges[0]
     start, stop = (near - edges[0]) / step, (far - edges[0]) / step
@@ -113,7 +125,7 @@ def _spread(energy: Array, near: Array, far: Array, edges: Float[Array, "edge"])
         inside = jnp.clip(end, 0.0, bins + 0.0)
         index = jnp.minimum(inside.astype(jnp.int32), bins - 1)
         part = inside - index
-        # A ramp that starts at index + part: its mean slope is 1 - part over this bin and 1 over all later ones.
+        # The ramp starts at index + part: its mean slope is 1 - part over this bin, and 1 over every later bin.
         changes = changes.at[slab, index].add(sign * density * (1 - part))
         changes = changes.at[slab, index + 1].add(sign * density * part)
     return jnp.cumsum(changes, axis=1)[:, :bins]
@@ -122,9 +134,10 @@ def _spread(energy: Array, near: Array, far: Array, edges: Float[Array, "edge"])
 def floor_energy(
     azimuth: Float[Array, "beam"], scene: Scene, sonar: Sonar, edges: Float[Array, "edge"]
 ) -> Float[Array, "range beam"]:
-    """Energy [rad/m²] of the bare floor per bin: the elevations that see it between two range `edges` (edge,) [m].
-
-    Exact in elevation: on a line at distance d from the head, elevation differs from the perpendicular's by acos(d/r).
+    """Energy [rad/m²] of the bare floor in each range bin: the elevations that see it between two range `edges` (edge,)
+    [m].
+    Exact in elevation: for a line at distance d from the sonar head, the point at range r is seen acos(d/r) away from
+    the perpendicular.
     """
     a, b = floor_line(azimuth, scene.view)
     distance = 1 / jnp.sqrt(a * a + b * b)
@@ -146,14 +159,14 @@ def _floor_span(a: Array, b: Array, scene: Scene) -> tuple[Array, Array]:
 
 
 def floor_angle(distance: Float[Array, "*batch"], sonar: Sonar) -> Float[Array, "*batch"]:
-    """Elevation [rad] that one range bin of bare floor fills at slant range `distance` [m]; finite anywhere."""
+    """Elevation [rad] that one range bin of bare floor fills at slant range `distance` [m]. Finite for any distance."""
     height = jnp.asarray(sonar.height, jnp.float32)
     aside = jnp.sqrt(jnp.maximum(distance**2 - height**2, (0.1 * height) ** 2))
     return sonar.range_bin * height / (jnp.maximum(distance, height) * aside)
 
 
 def floor_lit(azimuth: Float[Array, "beam"], scene: Scene, edges: Float[Array, "edge"]) -> Array:
-    """Pixels (range, beam) whose middle sees the floor inside the aperture; range `edges` (edge,) [m]."""
+    """Which pixels (range, beam) see the floor inside the aperture at their middle; range `edges` (edge,) [m]."""
     low, high = _floor_span(*floor_line(azimuth, scene.view), scene)
     middle = ((edges[1:] + edges[:-1]) / 2)[:, None]
     return (middle >= low) & (middle <= high)

@@ -1,4 +1,4 @@
-"""Whether an object can be in a sonar's view at all: one drawn in millimetres cannot, and seldom says so itself."""
+"""Check that an object can fit the sonar's view: a mesh drawn in millimetres cannot, and mesh files seldom name a unit."""
 
 from __future__ import annotations
 
@@ -10,9 +10,11 @@ from sonarjax.sonar import Sonar
 
 
 def check_fits(mesh: Mesh, sonar: Sonar, name: str) -> None:
-    """Raises SonarjaxError when the mesh is longer than the sonar sees far; `name` opens the message.
+    """Check that the mesh is not longer than the sonar's range; `name` opens the error message.
+    A part of 90 mm whose file is read as metres looks like an object of 90 m; only the sonar's range shows the mistake.
 
-    A part of 90 mm that is read as metres passes for an object of 90 m, until it is compared with the view.
+    Raises:
+        SonarjaxError: The mesh is too long.
     """
     extent = float(np.ptp(np.asarray(mesh.vertices), axis=0).max())
     reach = float(np.max(np.asarray(sonar.range_max)))

@@ -1,4 +1,4 @@
-"""What is rendered, of which part of the image, and how finely: `SonarFrame`, `Window` and `RenderQuality`."""
+"""What is rendered (`SonarFrame`), which part of the image (`Window`) and how finely (`RenderQuality`)."""
 
 from __future__ import annotations
 
@@ -14,16 +14,17 @@ from sonarjax.sonar import Sonar
 
 @dataclass(frozen=True)
 class RenderQuality:
-    """How finely a frame is rendered; hashable, so that it may be static under `jax.jit`."""
+    """How finely a frame is rendered. Hashable, so that it can be a static argument under `jax.jit`."""
 
     sub_beams: int = 2
-    """Even azimuth parts of a beam; edges of the object split it further."""
+    """Number of equal azimuth parts of each beam. Edges of the object divide a beam further."""
     elevations: int = 64
-    """About the number of elevation cells of a slice's energy integral. Which surface is visible does not depend on it
-    for up to 32 triangles a slice, and is sampled at that many elevations above."""
+    """About how many elevation cells a slice's energy integral has. With up to 32 triangles in a slice, visibility is
+    exact and does not depend on this number; with more, visibility is sampled at this many elevations.
+    """
 
     def __post_init__(self) -> None:
-        """Raises SonarjaxError for a number below 1."""
+        """Raise a SonarjaxError for a number below 1."""
         if self.sub_beams < 1 or self.elevations < 1:
             raise SonarjaxError(
                 f"RenderQuality: expected sub_beams and elevations of at least 1, got {self.sub_beams} and "
@@ -33,7 +34,7 @@ class RenderQuality:
 
 @record
 class Window:
-    """A part of the image; its place may be traced, its size decides shapes."""
+    """A part of the image. Its place may be traced; its size decides shapes."""
 
     row: Int[Array, "*batch"] | int
     """First range bin."""
@@ -42,32 +43,33 @@ class Window:
     shape: tuple[int, int] = static()
     """Number of (range, beam) pixels."""
     object_columns: int | None = static(default=None)
-    """Upper bound of the beams that the object itself touches; None for all. Only they are looked at."""
+    """Most beams that the object itself can touch; None for all. Only these beams are searched for it."""
 
 
 @record
 class SonarFrame:
-    """A rendered sonar image or a window of it: near to far, and starboard to port."""
+    """A rendered sonar image, or a window of one: near to far, starboard to port."""
 
     intensity: Float[Array, "*batch range beam"]
-    """Energy of first hits per range bin, objects and floor [rad/m²] (eq. 2 with k = I0 = 1), not scaled."""
+    """Energy of first hits on objects and floor in each range bin [rad/m²] (eq. 2 with k = I0 = 1), not scaled."""
     highlight: Float[Array, "*batch range beam"]
-    """Share of the pixel's range cell covered by first hits of an object, 0 to 1."""
+    """Share of the pixel's range cell that first hits of an object cover, 0 to 1."""
     shadow: Float[Array, "*batch range beam"]
-    """Share of the pixel's floor hidden behind an object, 0 to 1."""
+    """Share of the pixel's floor that an object hides, 0 to 1."""
     lit: Bool[Array, "*batch range beam"]
-    """True where the floor is insonified, or an object is seen; elsewhere a real frame is as dark as shadow."""
+    """True where the floor is insonified or an object is seen. Elsewhere a real frame is as dark as shadow."""
     overflow: Int[Array, "*batch"]
-    """Triangles for which the fullest slice had no room in `Mesh.crossings` or `Mesh.front`; 0 where all is well."""
+    """How many triangles the fullest slice had no room for (`Mesh.crossings`, `Mesh.front`); 0 if nothing is missing.
+    """
     sonar: Sonar
-    """What looked."""
+    """The sonar that looked."""
 
     def semantic(self) -> Float[Array, "*batch range beam"]:
-        """One grey image (range, beam) of each frame: shadow 0, background 0.5, highlight 1, by shares."""
+        """Semantic map (range, beam) of each frame: shadow 0, background 0.5, highlight 1, mixed by their shares."""
         return semantic_image(self.highlight, self.shadow)
 
     def labels(self) -> UInt8[Array, "*batch range beam"]:
-        """The class (range, beam) of each frame with the largest share: 0 background, 1 highlight, 2 shadow."""
+        """Class (range, beam) with the largest share in each pixel: 0 background, 1 highlight, 2 shadow."""
         shares = jnp.stack(
             [(1 - self.highlight) * (1 - self.shadow), self.highlight, self.shadow * (1 - self.highlight)]
         )
@@ -77,5 +79,5 @@ class SonarFrame:
 def semantic_image(
     highlight: Float[Array, "*batch range beam"], shadow: Float[Array, "*batch range beam"]
 ) -> Float[Array, "*batch range beam"]:
-    """0.5·(1 + h − s·(1 − h)): the classes' shares (range, beam) as one grey image in [0, 1]."""
+    """Semantic map (range, beam) in [0, 1] from the shares h of highlight and s of shadow: 0.5·(1 + h − s·(1 − h))."""
     return jnp.clip(0.5 * (1 + highlight - shadow * (1 - highlight)), 0.0, 1.0)

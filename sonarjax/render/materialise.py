@@ -1,4 +1,4 @@
-"""Running a part of the renderer so that its results are written to memory once."""
+"""Make XLA write the result of a stage to memory, so that it is computed only once."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import jax.numpy as jnp
 
 
 def materialised(stage: Callable[..., Any], *slabs: Any) -> Any:
-    """`stage(*slabs)` for arrays that all lead with the slab axis, one half of the slabs after the other.
-
-    XLA fuses a cheap stage into each of its uses, and into gathers, where it is then computed many times over (twice
-    the time of a render on a CPU). What a loop returns is written to memory once. For what carries no gradient.
+    """Compute `stage(*slabs)` in two halves, for arrays whose first axis is the slab.
+    XLA fuses a cheap stage into each of its uses, and into gathers, where it is computed many times over: on a CPU a
+    render takes twice as long. The result of a loop is written to memory once, hence the two halves. Use it only for
+    values that carry no gradient.
     """
     count = len(jax.tree.leaves(slabs)[0])
     half = -(-count // 2)

@@ -12,9 +12,8 @@ FAR_M = 1e4
 
 
 def platform_span(azimuth: Float[Array, "*slab"], scene: Scene, sonar: Sonar) -> tuple[Array, Array]:
-    """First and last slant range [m], each (..., slab, 1), on the platform; (0, FAR_M) without one.
-
-    On the floor of a slice every side of the rectangle is a linear inequality in tau.
+    """First and last slant range [m], each (..., slab, 1), on the platform; (0, FAR_M) if the floor is endless.
+    On the floor line of a slice, each side of the rectangle is a linear inequality in tau.
     """
     if sonar.floor is None:
         return jnp.zeros((*azimuth.shape, 1)), jnp.full((*azimuth.shape, 1), FAR_M)
@@ -56,7 +55,7 @@ def _ground_direction(azimuth: Array, sonar: Sonar) -> tuple[tuple[Array, Array]
 
 
 def platform_lit(azimuth: Float[Array, "beam"], scene: Scene, sonar: Sonar, edges: Float[Array, "edge"]) -> Array:
-    """Pixels (range, beam) whose middle lies on the floor or the platform; range `edges` (edge,) [m]."""
+    """Which pixels (range, beam) lie on the floor or the platform at their middle; range `edges` (edge,) [m]."""
     start, stop = platform_span(azimuth, scene, sonar)
     middle = ((edges[1:] + edges[:-1]) / 2)[:, None]
     return (middle >= start[:, 0]) & (middle <= stop[:, 0])

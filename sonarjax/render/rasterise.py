@@ -1,4 +1,4 @@
-"""Footprints in range: how much of each range bin an interval covers whose ends sweep across a slab of azimuth."""
+"""Rasterise spans: how much of each range bin a span covers whose ends move across a slab of azimuth."""
 
 from __future__ import annotations
 
@@ -10,11 +10,14 @@ from jaxtyping import Array, Bool, Float
 def covered(
     middle: Float[Array, "slab 2 item"], half: Float[Array, "slab 2 item"], present: Bool[Array, "slab item"], rows: int
 ) -> Float[Array, "slab range"]:
-    """Share (slab, `rows`) of each range bin that the items' intervals cover, at most 1.
+    """Share (slab, `rows`) of each range bin that the items' spans cover, at most 1.
+    Exact for a single span whose ends move linearly across the slab: the mean over the slab of the clipped overlap.
 
-    `middle` [bins] are the near and far ends of each interval in the middle of the slab, `half` [bins] how far they
-    move from there to its edges; `present` says which items count. Exact for one interval whose ends move linearly
-    across the slab: the mean of the clipped overlap over the sweep.
+    Args:
+        middle: Near and far end (slab, 2, item) [bins] of each span in the middle of the slab.
+        half: How far each end moves [bins] from the middle of the slab to its edge.
+        present: Which items (slab, item) exist.
+        rows: Number of range bins.
     """
     shares = jnp.where(present[..., None], _overlap(middle, half, rows), 0.0)
     return jnp.clip(jnp.diff(shares.sum(axis=1), axis=-1), 0.0, 1.0)
@@ -23,9 +26,8 @@ def covered(
 def spread(
     middle: Float[Array, "slab 2 item"], half: Float[Array, "slab 2 item"], weight: Float[Array, "slab item"], rows: int
 ) -> Float[Array, "slab range"]:
-    """Sum (slab, `rows`) of `weight` times the share of each range bin that an item's interval covers, see `covered`.
-
-    An item of weight zero does not count, whatever its ends are.
+    """Sum (slab, `rows`) over items of `weight` times the share of each range bin that the item's span covers.
+    Arguments as in `covered`. An item of weight zero does not count, whatever its ends are.
     """
     shares = jnp.where(weight[..., None] != 0, weight[..., None] * _overlap(middle, half, rows), 0.0)
     return jnp.diff(shares.sum(axis=1), axis=-1)
@@ -34,7 +36,7 @@ def spread(
 def _overlap(
     middle: Float[Array, "slab 2 item"], half: Float[Array, "slab 2 item"], rows: int
 ) -> Float[Array, "slab item edge"]:
-    """How much of each interval lies below each edge of the `rows` range bins [bins]."""
+    """Length [bins] of each span that lies below each edge of the `rows` range bins."""
     edges = jnp.arange(rows + 1, dtype=jnp.float32)
     return ramp(middle[:, 0], half[:, 0], edges) - ramp(middle[:, 1], half[:, 1], edges)
 
@@ -43,7 +45,9 @@ def _overlap(
 def ramp(
     middle: Float[Array, "slab item"], half: Float[Array, "slab item"], edges: Float[Array, "edge"]
 ) -> Float[Array, "slab item edge"]:
-    """Mean of max(0, edge − end) over an end's sweep, middle ± half [bins]: zero, a parabola, then a straight line."""
+    """Mean of max(0, edge − end) while the end moves over middle ± half [bins]: zero, then a parabola, then a straight
+    line.
+    """
     half = _at_least(half)
     ahead = edges - middle[..., None]
     inside = jnp.clip(ahead, -half, half)
@@ -52,7 +56,9 @@ def ramp(
 
 @ramp.defjvp
 def _ramp_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
-    """By hand, because autodiff keeps every intermediate of this largest array of the renderer (half the time)."""
+    """Derivative written by hand: autodiff would store every intermediate of the renderer's largest array, at twice the
+    time.
+    """
     middle, half, edges = primals
     width = _at_least(half)
     passed = jnp.clip((edges - middle[..., None] + width) / (2 * width), 0.0, 1.0)

@@ -1,4 +1,4 @@
-"""Which part of the image an object and its shadow can touch: sizes fixed on the host, positions may be traced."""
+"""Which part of the image an object and its shadow can touch: sizes are fixed on the host, positions may be traced."""
 
 from __future__ import annotations
 
@@ -14,41 +14,40 @@ from sonarjax.render.frame import Window
 from sonarjax.scene import Mesh
 from sonarjax.sonar import Sonar
 
-MARGIN_BEAMS, MARGIN_BINS = 3, 12  # around the union of all yaws; wider margins lower the correlation
-ROW_STEP, COLUMN_STEP, OBJECT_STEP = (
-    64,
-    8,
-    4,
-)  # window sizes are rounded up to these, so that neighbours share compiled code
+MARGIN_BEAMS, MARGIN_BINS = 3, 12  # around what the object touches at any yaw; wider margins lower the correlation
+# Window sizes are rounded up to multiples of these, so that windows of similar size share compiled code.
+ROW_STEP, COLUMN_STEP, OBJECT_STEP = 64, 8, 4
 
 
 @dataclass(frozen=True)
 class WindowSize:
-    """Size of a window, planned on the host: hashable, so that it may be static under `jax.jit`."""
+    """Size of a window, planned on the host. Hashable, so that it can be a static argument under `jax.jit`."""
 
     shape: tuple[int, int]
     """Number of (range, beam) pixels."""
     object_columns: int | None = None
-    """Upper bound of the beams that the object itself touches; None for all."""
+    """Most beams that the object itself can touch; None for all."""
 
     def holds(self, other: WindowSize) -> bool:
-        """True where a window of this size will do for what was planned as `other`."""
+        """True if a window of this size is large enough wherever `other` is."""
         beams = self.object_columns is None or (other.object_columns or math.inf) <= self.object_columns
         return beams and all(mine >= needed for mine, needed in zip(self.shape, other.shape, strict=True))
 
 
 def plan_window(mesh: Mesh, sonar: Sonar, ground_range: float, slack: float = 0.0) -> WindowSize:
-    """The size of a window for an object at `ground_range` [m], give or take `slack` [m].
-
-    A host function: `mesh` and `sonar` must hold concrete numbers.
+    """Plan the size of a window that holds an object and its shadow. A host function.
+    Args:
+        mesh: The object; holds concrete numbers.
+        sonar: The sonar; holds concrete numbers.
+        ground_range: Horizontal distance of the object [m].
+        slack: How far the object may be from there [m].
     """
     return WindowSize(window_shape(mesh, sonar, ground_range, slack), object_columns(mesh, sonar, ground_range, slack))
 
 
 def window_shape(mesh: Mesh, sonar: Sonar, ground_range: float, slack: float = 0.0) -> tuple[int, int]:
-    """Pixels (range, beam) that hold the object and its shadow at `ground_range` [m], `slack` [m] around it included.
-
-    `sonar` must hold concrete numbers. Never more than the whole frame.
+    """Pixels (range, beam) that hold the object and its shadow at `ground_range` [m] and up to `slack` [m] around it.
+    `sonar` must hold concrete numbers. Never more than the frame.
     """
     reach = float(mesh.radius) + slack
     near, far = _slant_extent(mesh, sonar, ground_range, slack)
@@ -59,8 +58,7 @@ def window_shape(mesh: Mesh, sonar: Sonar, ground_range: float, slack: float = 0
 
 
 def object_columns(mesh: Mesh, sonar: Sonar, ground_range: float, slack: float = 0.0) -> int:
-    """Beams that the object itself touches at `ground_range` [m] or up to `slack` [m] around it, at most.
-
+    """Most beams that the object itself can touch at `ground_range` [m] and up to `slack` [m] around it.
     `sonar` must hold concrete numbers.
     """
     width = _azimuth_width(mesh, sonar, ground_range, float(mesh.radius) + slack)
@@ -69,12 +67,12 @@ def object_columns(mesh: Mesh, sonar: Sonar, ground_range: float, slack: float =
 
 
 def _spacing(sonar: Sonar) -> float:
-    """Least angle [rad] between neighbouring beams."""
+    """Smallest angle [rad] between neighbouring beams."""
     return float(np.diff(np.asarray(sonar.azimuth)).min())
 
 
 def _azimuth_width(mesh: Mesh, sonar: Sonar, ground_range: float, reach: float) -> float:
-    """Twice the largest image azimuth [rad], off its middle, of a cylinder of radius `reach` [m] around the object."""
+    """Width in image azimuth [rad] of a cylinder of radius `reach` [m] around an object straight ahead."""
     around = np.linspace(0, 2 * math.pi, 65)
     x, y = ground_range + reach * np.cos(around), reach * np.sin(around)
     tilt, heights = float(sonar.tilt), np.array([[0.0], [max(float(mesh.top), 0.0)]])
@@ -95,7 +93,9 @@ def _slant_extent(mesh: Mesh, sonar: Sonar, ground_range: float, slack: float) -
 
 
 def place_window(size: WindowSize, mesh: Mesh, sonar: Sonar, x: Any, y: Any, slack: float = 0.0) -> Window:
-    """The window of a planned `size` around an object at (x, y) [m], moved inside the frame; x and y may be traced."""
+    """Place a window of planned `size` around an object at (x, y) [m], shifted to lie inside the frame.
+    `x` and `y` may be traced. `slack` [m] is how far the object may be from there, as in `plan_window`.
+    """
     shape = size.shape
     x, y, height = (jnp.asarray(v, jnp.float32) for v in (x, y, sonar.height))
     ground = jnp.hypot(x, y)
@@ -108,35 +108,36 @@ def place_window(size: WindowSize, mesh: Mesh, sonar: Sonar, x: Any, y: Any, sla
 
 
 def leaning_room(mesh: Mesh, lift: Any, roll: Any, pitch: Any) -> Mesh:
-    """The mesh with the radius and the top that it has lifted by `lift` [m] and leaning by `roll` and `pitch` [rad].
-
-    Windows are sized by them; the surface stays as it is. Upright on the floor they are the mesh's own. Nothing is
-    compiled for numbers that are known.
+    """The mesh with the radius and top it has when lifted by `lift` [m] and tilted by `roll` and `pitch` [rad].
+    Windows are sized by radius and top; the vertices stay as they are. For an upright object on the floor both are
+    unchanged. Nothing is compiled unless a number is traced.
     """
     traced = any(isinstance(v, jax.core.Tracer) for v in (mesh.radius, mesh.top, lift, roll, pitch))
     array: Any = jnp if traced else np
     radius, top = (v if traced else np.asarray(v) for v in (mesh.radius, mesh.top))
-    # The vertical of the mesh is turned by arccos(cos roll · cos pitch).
+    # Roll and pitch together tilt the vertical of the mesh by arccos(cos roll · cos pitch).
     upright = array.cos(array.clip(roll, 0.0, math.pi / 2)) * array.cos(array.clip(pitch, 0.0, math.pi / 2))
     over = array.sqrt(array.maximum(1 - upright**2, 0.0))
     extent = radius + array.maximum(top, 0.0) * over, top + radius * over + array.maximum(lift, 0.0)
-    # `device_put` compiles nothing.
+    # `device_put` compiles nothing, unlike `jnp.asarray`.
     wide, high = (v if traced else jax.device_put(np.asarray(v, np.float32)) for v in extent)
     return replace(mesh, radius=wide, top=high)
 
 
 def image_azimuth(x: Any, y: Any, sonar: Sonar) -> Any:
-    """Azimuth in the (tilted, unrolled) sonar frame [rad] of a floor point (x, y) [m]."""
+    """Azimuth [rad] in the sonar frame (tilted, without roll) of a floor point (x, y) [m]."""
     forward = jnp.cos(jnp.asarray(sonar.tilt)) * x + jnp.sin(jnp.asarray(sonar.tilt)) * sonar.height
     return jnp.arctan2(jnp.asarray(y, jnp.float32), forward)
 
 
 def floor_point(slant_range: Any, azimuth: Any, sonar: Sonar) -> tuple[Any, Any]:
-    """Ground (x, y) [m] of the floor seen at `slant_range` [m] and image `azimuth` [rad], without roll."""
+    """Ground position (x, y) [m] of the floor that is seen at `slant_range` [m] and image `azimuth` [rad]; roll is
+    ignored.
+    """
     ground = jnp.sqrt(jnp.maximum(jnp.asarray(slant_range) ** 2 - jnp.asarray(sonar.height) ** 2, 1e-6))
     tan = jnp.tan(jnp.asarray(azimuth))
     ct, lift = jnp.cos(jnp.asarray(sonar.tilt)), jnp.sin(jnp.asarray(sonar.tilt)) * sonar.height
-    # y = tan·(ct·x + lift) on the circle x² + y² = ground²: a quadratic in x, of which the forward root is seen.
+    # y = tan·(ct·x + lift) on the circle x² + y² = ground² is a quadratic in x; its forward root is the point seen.
     a, b, c = 1 + (tan * ct) ** 2, tan * tan * ct * lift, (tan * lift) ** 2 - ground**2
     x = (-b + jnp.sqrt(jnp.maximum(b * b - a * c, 0.0))) / a
     return x, tan * (ct * x + lift)

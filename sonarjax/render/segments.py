@@ -1,7 +1,6 @@
-"""Cutting triangles with a half-plane of constant azimuth: segments in the plane of elevation tangent and 1/range.
-
-With tau = tan(elevation) and s = 1 / planar range, a plane of eq. 1 is the straight line s = G · (cos θ, sin θ, tau),
-so the nearest surface of a slice is the upper envelope of segments of straight lines.
+"""Cut triangles with a half-plane of constant azimuth into segments in the plane of elevation tangent and 1/range.
+With tau = tan(elevation) and s = 1 / planar range, a plane of eq. 1 becomes the straight line s = G · (cos θ, sin θ,
+tau). The nearest surface of a slice is therefore the upper envelope of straight segments.
 """
 
 from __future__ import annotations
@@ -13,12 +12,12 @@ from jaxtyping import Array, Bool, Float, Int
 
 NEAR_M = 1e-2  # surfaces nearer to the sonar head than this are cut off
 
-# How the end of a visible interval is found again when it is differentiated.
+# What ends a visible interval. Spans use it to recompute that end from the vertices, as a differentiable number.
 EDGE, TAU_MIN, TAU_MAX, FLOOR, NEAR, CROSSING, FIXED = range(7)
 
 
 class View(NamedTuple):
-    """What bounds a slice besides the mesh."""
+    """What bounds a slice, apart from the mesh."""
 
     tau_min: Float[Array, ""]
     """Tangent of the lowest insonified elevation."""
@@ -31,7 +30,7 @@ class View(NamedTuple):
 
 
 class Segments(NamedTuple):
-    """Segments of one slice's candidates; `lo` and `hi` are its ends in tau, ascending."""
+    """Segments into which a slice cuts its candidate triangles; both ends in ascending order of tau."""
 
     tau: Float[Array, "*batch 2"]
     """Elevation tangents of the lower and the upper end."""
@@ -40,20 +39,23 @@ class Segments(NamedTuple):
     kind: Int[Array, "*batch 2"]
     """What ends the segment: EDGE, TAU_MIN, TAU_MAX, FLOOR or NEAR."""
     edge: Int[Array, "*batch 2"]
-    """Which of the triangle's edges (0: corners 0–1, 1: 1–2, 2: 2–0) carries the end, where kind is EDGE."""
+    """Which edge of the triangle (0: corners 0–1, 1: 1–2, 2: 2–0) holds the end, where kind is EDGE."""
     hit: Bool[Array, "*batch"]
-    """False where the triangle does not reach into the slice's view."""
+    """False where no part of the triangle lies in the slice's view."""
 
 
 def plane_line(
     corners: Float[Array, "*#batch 3 3"], azimuth: Float[Array, "*#batch"]
 ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
-    """(a, b) [1/m] of the planes through triangles (..., corner, xyz) [m] as lines s = a + b·tau at `azimuth` [rad]."""
+    """Line s = a + b·tau that the plane of each triangle (..., corner, xyz) [m] becomes at `azimuth` [rad].
+    Returns:
+        (a, b) [1/m].
+    """
     first = corners[..., 0, :]
     normal = jnp.cross(corners[..., 1, :] - first, corners[..., 2, :] - first)
     offset = (normal * first).sum(-1)
-    # A plane through the sonar head is seen edge-on and has no line; its sign is kept so that nothing jumps.
-    # A triangle without area (padding) has no normal: the constant keeps its derivatives inside float32.
+    # A plane through the sonar head is seen edge-on and has no line. Its offset is replaced by a small one of the same
+    # sign, so that nothing jumps. A padding triangle has no area and no normal: 1e-14 keeps its derivatives finite.
     floor = 1e-7 * jnp.sqrt((normal * normal).sum(-1) + 1e-14)
     safe = jnp.where(jnp.abs(offset) > floor, offset, jnp.where(offset < 0, -floor, floor))
     gradient = normal / safe[..., None]
@@ -64,7 +66,9 @@ def plane_line(
 def edge_point(
     start: Float[Array, "*#batch 3"], end: Float[Array, "*#batch 3"], azimuth: Float[Array, "*#batch"]
 ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
-    """Planar range and height (rho, z) [m] where the edge from `start` to `end` [m] passes `azimuth` [rad]."""
+    """Planar range and height (rho, z) [m] of the point where the edge from `start` to `end` [m] crosses `azimuth`
+    [rad].
+    """
     c, s = jnp.cos(azimuth), jnp.sin(azimuth)
     u0, u1 = c * start[..., 1] - s * start[..., 0], c * end[..., 1] - s * end[..., 0]
     step = u0 - u1
@@ -75,7 +79,7 @@ def edge_point(
 
 
 def cut(corners: Float[Array, "*#batch 3 3"], azimuth: Float[Array, "*#batch"], view: View) -> Segments:
-    """Segments of triangles (..., corner, xyz) [m] at `azimuth` [rad], inside the aperture and above the floor."""
+    """Cut triangles (..., corner, xyz) [m] at `azimuth` [rad]; keep what lies inside the aperture and above the floor."""
     c, s = jnp.cos(azimuth), jnp.sin(azimuth)
     side = [c * corners[..., k, 1] - s * corners[..., k, 0] > 0 for k in range(3)]  # to port of the slice
     crossed = [side[k] != side[(k + 1) % 3] for k in range(3)]  # two of the edges, or none
@@ -101,7 +105,7 @@ def cut(corners: Float[Array, "*#batch 3 3"], azimuth: Float[Array, "*#batch"], 
 
 
 def _clip(first: tuple, second: tuple, azimuth: Array, view: View) -> tuple[tuple, tuple, Array]:
-    """Liang–Barsky: (t, kind) of both ends of the segment's part inside the view, and whether any is left."""
+    """Clip segments to the view by Liang and Barsky's method: (t, kind) of both ends, and whether anything is left."""
     lateral = view.up[0] * jnp.cos(azimuth) + view.up[1] * jnp.sin(azimuth)
     inside = (
         (TAU_MIN, lambda rho, z: z - view.tau_min * rho),

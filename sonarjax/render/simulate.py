@@ -1,4 +1,4 @@
-"""`render`: what a sonar would see of one or several objects on the floor, at one pose or a batch of them."""
+"""`render`: simulate what a sonar sees of one or several objects on the floor, at one pose or a batch of poses."""
 
 from __future__ import annotations
 
@@ -26,15 +26,25 @@ def render(
     *,
     quality: RenderQuality = RenderQuality(),
 ) -> SonarFrame:
-    """Simulate a frame (*batch, range, beam) of one object, or of several given as sequences of equal length.
+    """Simulate the frame of one object, or of several objects in one scene (§2.1, eq. 1–2).
+    The frame is differentiable in every float of `pose`, `sonar` and the mesh vertices, visibility included, and works
+    under `jit`, `vmap`, `grad` and `jacfwd`. For a batch of sonars use `jax.vmap`.
 
-    §2.1, eq. 1–2. `*batch` is the shape of `pose`, or of `pose` and stacked meshes broadcast together; batches of
-    sonars go through `jax.vmap`. Differentiable in every float of `pose` [m, rad], `sonar` and the vertices, under jit,
-    vmap, grad and jacfwd, the visibility included. Outside a trace room is made where a slice crosses more triangles
-    than the mesh has room for; inside, `overflow` of the frame counts them.
+    If a slice crosses more triangles than the mesh has room for, the frame is rendered again with more room. Under a
+    trace this is impossible: the frame's `overflow` then counts the triangles that were left out.
 
-    Raises SonarjaxError when the numbers of meshes and poses differ, or a pose that is known (not traced) is not finite
-    or absurdly far away.
+    Args:
+        mesh: One mesh, stacked meshes, or a sequence of meshes that stand in the same scene.
+        pose: Pose [m, rad] of the mesh, any batch shape, or a sequence with one pose for each mesh of the sequence.
+        sonar: The sonar that looks.
+        quality: How finely to render.
+
+    Returns:
+        A frame (*batch, range, beam). `*batch` is the shape of `pose`, broadcast with that of stacked meshes.
+
+    Raises:
+        SonarjaxError: The numbers of meshes and poses differ, or a pose (unless traced) is not finite or absurdly far
+            away.
     """
     for one in [pose] if isinstance(pose, Pose) else pose:
         check_pose(one)
@@ -45,9 +55,8 @@ def render(
 
 
 def with_enough_room(rendered: Callable[[Mesh], Any], mesh: Mesh) -> Any:
-    """`rendered(mesh)`, whose result has `overflow`, with room for all triangles: made by rendering again if need be.
-
-    A traced overflow cannot be looked at: it is the caller's then.
+    """Call `rendered(mesh)`, and again with a roomier mesh as long as its result reports an `overflow`.
+    A traced overflow has no value yet, so it is left to the caller.
     """
     found = rendered(mesh)
     while not isinstance(found.overflow, jax.core.Tracer) and (missing := int(np.max(np.asarray(found.overflow)))) > 0:
@@ -74,15 +83,18 @@ def _render(mesh: Mesh, pose: Pose, sonar: Sonar, quality: RenderQuality) -> Son
 
 
 def one_by_one(function: Callable[[Any], Any], items: Any) -> Any:
-    """`jax.vmap(function)(items)`, one after another on a CPU, where a batch would only spill the caches."""
+    """Compute `jax.vmap(function)(items)`; on a CPU take one item at a time, because a batch would not fit the caches."""
     count = len(jax.tree.leaves(items)[0])
     return jax.lax.map(function, items, batch_size=None if jax.default_backend() == "cpu" else count)
 
 
 def place_together(meshes: Sequence[Mesh], poses: Pose | Sequence[Pose]) -> tuple[Mesh, Pose]:
-    """Several objects at their poses as one mesh in the ground frame, and the pose (at the origin) it stands at.
+    """Join several objects at their poses into one mesh in the ground frame.
+    Returns:
+        The joined mesh, and its pose, which is the origin.
 
-    Raises SonarjaxError when the numbers of meshes and poses differ, or there is none.
+    Raises:
+        SonarjaxError: The numbers of meshes and poses differ, or there are none.
     """
     poses = [poses] if isinstance(poses, Pose) else list(poses)
     if len(meshes) != len(poses) or not meshes:

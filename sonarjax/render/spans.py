@@ -1,8 +1,8 @@
-"""From a slice's visible intervals to echo spans and occluded spans, whose ends are differentiable numbers.
-
+"""Turn a slice's visible intervals into echo spans and occluded spans, whose ends are differentiable numbers.
 An *echo span* is a chain of visible intervals without a gap in range: its echo covers every range between its nearest
-and its farthest point. An *occluded span* is a chain of intervals without a gap in elevation: it hides all floor
-between its ends. The chains are found without a gradient; `trace_ranges` then follows their ends through the vertices.
+and its farthest point. An *occluded span* is a chain of visible intervals without a gap in elevation: it hides all
+floor between its ends. Finding the chains carries no gradient; `trace_ranges` then computes their ends from the
+vertices.
 """
 
 from __future__ import annotations
@@ -30,53 +30,54 @@ from sonarjax.render.segments import (
 from sonarjax.render.visibility import TOUCH, VisibleIntervals
 from sonarjax.scene.mesh import CREASE_ANGLE
 
-EMPTY_TAU = 1e-7  # a interval narrower than this is nothing
+EMPTY_TAU = 1e-7  # an interval narrower than this counts as empty
 HORIZON = 1e-4  # least 1/planar range [1/m]: farther surfaces are put at 10 km
-MOST_ITEMS = 12
+MOST_ITEMS = 12  # most spans of a kind that a slice keeps, where spans are not told apart by object
 SMOOTH_COSINE = math.cos(CREASE_ANGLE)  # a sharper bend is an edge of the body
-GAP = 1e-4  # relative step in range that ends a echo span: ten times float32's error, far below any sonar's resolution
+GAP = 1e-4  # relative step in range that ends an echo span: ten times float32's error, below any sonar's resolution
 
 
 class Ends(NamedTuple):
-    """Ends of echo spans or occluded spans (slab, item), as what makes them."""
+    """Ends of echo spans or occluded spans (slab, item), described by what makes them."""
 
     surface: Int[Array, "slab item"]
-    """Triangle whose plane gives the range, -1 for no item."""
+    """Triangle whose plane gives the range; -1 where the span does not exist."""
     source: Int[Array, "slab item"]
-    """Triangle whose segment ends, or crosses, here."""
+    """Triangle whose segment ends here, or crosses the surface here."""
     kind: Int[Array, "slab item"]
-    """What makes the end: see segments.py."""
+    """What makes the end: EDGE, TAU_MIN, TAU_MAX, FLOOR, NEAR, CROSSING or FIXED of segments.py."""
     edge: Int[Array, "slab item"]
     """Edge of the source triangle, where kind is EDGE."""
     tau: Float[Array, "slab item"]
     """Elevation tangent in the middle of the slab."""
     at_perpendicular: Bool[Array, "slab item"]
-    """True where the nearest point is the perpendicular of the perpendicular, not an end."""
+    """True where the surface is nearest at the foot of the perpendicular from the sonar head, not at an end."""
 
 
 class Spans(NamedTuple):
-    """All that a slab shows. One array holds all ends, so that one pass follows them through the vertices."""
+    """All spans of each slab. One array holds all their ends, so that a single pass computes them from the vertices."""
 
     ends: Ends
-    """All ends (slab, end): echo spans' nearest and farthest points, occluded spans' lower ends and upper ends."""
+    """All ends (slab, end): nearest points of echo spans, their farthest points, lower ends of occluded spans, upper
+    ends.
+    """
     echo_spans: Bool[Array, "slab echo_span"]
     """Which echo spans exist."""
     occluded_spans: Bool[Array, "slab occluded_span"]
     """Which occluded spans exist."""
     angle: Float[Array, "slab echo_span"]
-    """Elevation [rad] that each echo span fills, without a gradient: its share of the energy sent out."""
+    """Elevation [rad] that each echo span fills: its share of the energy sent out. Carries no gradient."""
 
     @property
     def on_object(self) -> Bool[Array, "end"]:
-        """Which ends (end,) lie on the object: those of echo spans. Those of occluded spans lie on the floor."""
+        """Which ends (end,) lie on the object: those of echo spans. The ends of occluded spans lie on the floor."""
         return jnp.arange(self.ends.tau.shape[1]) < 2 * self.echo_spans.shape[1]
 
 
 def max_items(crossings: int, by_facet: bool = False, objects: int = 0) -> tuple[int, int]:
-    """How many echo spans, and how many occluded spans, a slice keeps; further ones are joined to the last.
-
-    An echo span shows at least a triangle or two, a body that stands alone more; `by_facet` one is enough. Where spans
-    are told apart by object, each of the `objects` may end one more.
+    """How many echo spans and how many occluded spans a slice keeps; any further ones are joined to the last.
+    The estimate allows three triangles to an echo span and four to an occluded span. `by_facet` allows one triangle to
+    an echo span. Where spans are told apart by object, each of the `objects` may add one more.
     """
     echo_spans = crossings if by_facet else crossings // 3
     return max(2, min(echo_spans, MOST_ITEMS)) + objects, max(2, min(crossings // 4, MOST_ITEMS)) + objects
@@ -98,13 +99,18 @@ def find_spans(
     by_facet: Bool[Array, ""] | bool = False,
     owner: Int[Array, "slab interval"] | None = None,
 ) -> Spans:
-    """Chains of visible intervals; `table` holds the candidates' triangle ids, `lit` the intervals that give highlight.
-
-    Echo spans also end where the surface bends sharply if they are `by_facet`: each then is about equally bright. With
-    `owner`, the object that each interval shows, no span is of two objects.
-
-    Between neighbouring intervals of a `sampled` profile others were passed over: a step in range that the slopes of
-    the two explain is then no gap.
+    """Join visible intervals to echo spans and occluded spans.
+    Args:
+        intervals: The visible intervals.
+        segments: The candidates' segments.
+        table: Triangle id of each candidate (slab, candidate).
+        lit: Which intervals (slab, interval) give highlight.
+        items: Number of echo spans and of occluded spans to keep, see `max_items`.
+        sampled: Whether the intervals were sampled. Then intervals may be missing between neighbours, and a step in
+            range that the slopes of the two explain is not a gap.
+        by_facet: Whether an echo span also ends where the surface bends sharply. Each echo span is then about equally
+            bright all over.
+        owner: Object that each interval (slab, interval) shows. If given, a span never joins two objects.
     """
     solid = intervals.winner >= 0
     line = _of_candidate(segments.line, intervals.winner)
@@ -157,25 +163,24 @@ def _of_candidate(values: Float[Array, "slab candidate 2"], index: Int[Array, "s
 
 
 def _normal(line: Float[Array, "slab interval 2"]) -> Float[Array, "slab interval 2"]:
-    """Unit normals of surfaces as they are cut by a slice, from their lines (a, b)."""
+    """Unit normals, within the slice, of the surfaces with lines (a, b)."""
     return line / jnp.sqrt((line**2).sum(-1, keepdims=True) + 1e-24)
 
 
 def _previous(values: Array) -> Array:
-    """Each interval's lower neighbour's value (slab, interval); zero or False for the first."""
+    """Value of the next lower interval (slab, interval); zero or False for the first."""
     return jnp.pad(values[:, :-1], ((0, 0), (1, 0)))
 
 
 def _chain(member: Bool[Array, "slab interval"], starts: Bool[Array, "slab interval"], items: int) -> Array:
-    """Membership (slab, interval, item) of intervals in chains, numbered from the lowest elevation."""
+    """Which chain each interval belongs to (slab, interval, item); chains are numbered from the lowest elevation."""
     number = jnp.minimum(jnp.cumsum(starts, axis=1) - 1, items - 1)
     return member[..., None] & (number[..., None] == jnp.arange(items))
 
 
 def _extreme(value: Float[Array, "slab interval"], chain: Bool[Array, "slab interval item"], sign: int) -> Array:
-    """Piece (slab, item) with the least (sign -1) or largest (sign 1) value in its chain.
-
-    One integer reduction: positive floats sort like their bits, whose lowest ones make room for the interval's number.
+    """The interval (slab, item) with the least (sign -1) or largest (sign 1) value in its chain.
+    One integer reduction finds it: positive floats sort like their bits, and the interval's number replaces the lowest.
     """
     bits = (value.shape[1] - 1).bit_length()
     key = ((value.astype(jnp.float32).view(jnp.int32) >> bits) << bits) | jnp.arange(value.shape[1])
@@ -183,7 +188,7 @@ def _extreme(value: Float[Array, "slab interval"], chain: Bool[Array, "slab inte
         best = jnp.where(chain, key[..., None], 0).max(axis=1)
     else:
         best = jnp.where(chain, key[..., None], jnp.iinfo(jnp.int32).max).min(axis=1)
-    # An empty chain has no interval: any index inside the array will do, where one outside would read NaN.
+    # An empty chain has no interval. Any index inside the array will do; one outside would read NaN.
     return jnp.minimum(best & ((1 << bits) - 1), value.shape[1] - 1)
 
 
@@ -210,10 +215,9 @@ def _ends(
 
 
 def all_ends(intervals: VisibleIntervals, segments: Segments, table: Int[Array, "slab candidate"]) -> Ends:
-    """The ends (slab, 2 × interval) of every visible interval, all lower ones first, for the energy integral.
-
-    Where a surface goes on smoothly across an edge of its tessellation, the end stays at its elevation: both sides
-    show the same ranges there, and such an edge may sweep over the whole surface within one slab.
+    """The ends (slab, 2 × interval) of every visible interval, all lower ends first, for the energy integral.
+    Where a smooth surface continues across an edge of its tessellation, the end stays at its elevation. Both sides show
+    the same ranges there, and such an edge may sweep over the whole surface within one slab.
     """
     interval = jnp.broadcast_to(jnp.arange(intervals.winner.shape[1]), intervals.winner.shape)
     solid = (intervals.winner >= 0) & (intervals.tau[..., 1] - intervals.tau[..., 0] > EMPTY_TAU)
@@ -227,9 +231,8 @@ def all_ends(intervals: VisibleIntervals, segments: Segments, table: Int[Array, 
 def _smooth_sides(
     intervals: VisibleIntervals, segments: Segments
 ) -> tuple[Bool[Array, "slab interval"], Bool[Array, "slab interval"]]:
-    """Whether each interval's surface goes on smoothly below it, and above: no step in range, no edge of the body.
-
-    Intervals between segments that touch are passed over: which of the two surfaces they show is chance.
+    """Whether each interval's surface continues smoothly below it, and above it: no step in range and no sharp edge.
+    Intervals between segments that merely touch are skipped: which of the two surfaces they show is chance.
     """
     count = intervals.winner.shape[1]
     number = jnp.where(intervals.tau[..., 1] - intervals.tau[..., 0] > TOUCH, jnp.arange(count), -1)
@@ -249,7 +252,7 @@ def _smooth_sides(
 
 
 class Scene(NamedTuple):
-    """The surface in the sonar frame and what bounds the view: all that the ranges are differentiated through."""
+    """What the ranges are differentiated through: the surface in the sonar frame, and the bounds of the view."""
 
     vertices: Float[Array, "vertex 3"]
     """Vertices [m]."""
@@ -265,7 +268,7 @@ def corners_of(scene: Scene, triangle: Int[Array, "*batch"]) -> Float[Array, "*b
 
 
 def floor_line(azimuth: Float[Array, "*batch"], view: View) -> tuple[Array, Array]:
-    """(a, b) [1/m] of the floor as a line s = a + b·tau; s ≤ 0 at and above the horizon."""
+    """The floor as a line s = a + b·tau: (a, b) [1/m]. At and above the horizon s ≤ 0."""
     a = -(view.up[0] * jnp.cos(azimuth) + view.up[1] * jnp.sin(azimuth)) / view.height
     return a, jnp.broadcast_to(-view.up[2] / view.height, a.shape)
 
@@ -273,9 +276,11 @@ def floor_line(azimuth: Float[Array, "*batch"], view: View) -> tuple[Array, Arra
 def trace_tau(
     ends: Ends, azimuth: Float[Array, "slab 1"], scene: Scene, surface: tuple[Array, Array]
 ) -> tuple[Float[Array, "slab item"], Float[Array, "slab item"]]:
-    """Elevation tangent of each end, as a function of `azimuth` [rad], and the slant range [m] of its source's edge.
-
+    """Compute each end from the vertices, as a differentiable function of `azimuth` [rad].
     `surface` is the line (a, b) of the surface at the end.
+
+    Returns:
+        The elevation tangent of each end, and the slant range [m] of the source triangle's edge there.
     """
     corners = corners_of(scene, ends.source)
     first = _corner(corners, ends.edge)
@@ -300,9 +305,10 @@ def _corner(corners: Float[Array, "*batch 3 3"], index: Int[Array, "*batch"]) ->
 
 
 def trace_ranges(spans: Spans, azimuth: Float[Array, "slab"], scene: Scene) -> Float[Array, "slab end"]:
-    """Slant ranges [m] of all ends at `azimuth` [rad]: echo spans' near and far points, floor behind occluded spans.
-
-    The floor at and above the horizon is very far. Differentiable in `azimuth` too, at the middle of the slabs.
+    """Slant ranges [m] of all ends at `azimuth` [rad]: points on the object for echo spans, on the floor for occluded
+    spans.
+    The floor at and above the horizon is put very far away. Differentiable in `azimuth` too, at the middle of the
+    slabs.
     """
     theta = azimuth[:, None]
     ends = spans.ends
@@ -311,23 +317,23 @@ def trace_ranges(spans: Spans, azimuth: Float[Array, "slab"], scene: Scene) -> F
     tau, edge_range = trace_tau(ends, theta, scene, surface)
     on_object = spans.on_object
     line = [jnp.where(on_object, o, f) for o, f in zip(surface, floor_line(theta, scene.view), strict=True)]
-    # No point of a triangle is nearer than its nearest corner or farther than its farthest, as seen along the slice;
-    # the plane of a facet seen edge-on is, as soon as it is followed to another azimuth.
+    # No point of a triangle is nearer than its nearest corner or farther than its farthest corner, measured along the
+    # slice. Its plane is not so bounded: for a facet seen edge-on it runs far away a little beside this azimuth.
     reach = jnp.cos(theta)[..., None] * corners[..., 0] + jnp.sin(theta)[..., None] * corners[..., 1]
     nearest, farthest = jnp.maximum(reach.min(-1), NEAR_M), jnp.maximum(reach.max(-1), NEAR_M)
     s = line[0] + line[1] * tau
     s = jnp.where(on_object, jnp.clip(s, 1 / farthest, 1 / nearest), jnp.maximum(s, HORIZON))
     at_perpendicular = jnp.maximum(jax.lax.rsqrt(surface[0] ** 2 + surface[1] ** 2 + 1e-12), nearest)
     ranges = jnp.where(ends.at_perpendicular, at_perpendicular, jnp.sqrt(1 + tau * tau) / s)
-    # Where a facet ends at its own edge that edge's range is exact, and stays so for one that is seen edge-on.
+    # Where a facet ends at its own edge, the range of that edge is exact, even for a facet seen edge-on.
     own = on_object & (ends.kind == EDGE) & (ends.source == ends.surface) & ~ends.at_perpendicular
     return jnp.where(own, edge_range, ranges)
 
 
 def facet_width(spans: Spans, azimuth: Float[Array, "slab"], scene: Scene) -> Float[Array, "slab end"]:
-    """Azimuth [rad] over which each end can be followed: the lesser width of its edge and its surface, seen from above.
-
-    Only ends on the object have a surface of their own; those of occluded spans lie on the floor.
+    """Azimuth [rad] over which each end can be followed: the width, seen from above, of its edge or its surface if
+    narrower.
+    Only the ends of echo spans lie on a surface of their own; those of occluded spans lie on the floor.
     """
     c, s = jnp.cos(azimuth)[:, None, None], jnp.sin(azimuth)[:, None, None]
 
@@ -350,7 +356,7 @@ def incidence_cosine(
     corners: Float[Array, "slab candidate 3 3"],
     azimuth: Float[Array, "slab"],
 ) -> Float[Array, "slab interval"]:
-    """Cosine of the angle between the ray to the middle of each interval and its facet's normal."""
+    """Cosine of the angle between a facet's normal and the ray to the middle of its interval."""
     normal = jnp.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0])
     normal = normal / (jnp.sqrt((normal**2).sum(-1, keepdims=True)) + 1e-20)
     n = jnp.take_along_axis(normal, jnp.maximum(intervals.winner, 0)[..., None], axis=1)
@@ -360,5 +366,5 @@ def incidence_cosine(
 
 
 def lit_intervals(cosine: Float[Array, "slab interval"], max_incidence_deg: float) -> Bool[Array, "slab interval"]:
-    """Intervals that give highlight: struck no more obliquely than `max_incidence_deg` [deg] from their normal."""
+    """Which intervals give highlight: those hit at no more than `max_incidence_deg` [deg] from their normal."""
     return cosine >= math.cos(math.radians(max_incidence_deg))

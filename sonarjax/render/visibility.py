@@ -1,7 +1,6 @@
 """Exact visibility in one slice: the upper envelope of line segments, as an ordered list of visible intervals.
-
-Nothing here carries a gradient. Each end of a interval is recorded as what makes it (a mesh edge, a crossing of two
-planes, the aperture, the floor), and `profile.py` finds it again from the vertices, differentiably.
+Nothing here carries a gradient. For each end of an interval this file records what makes it: a mesh edge, a crossing of
+two planes, the aperture or the floor. `spans.py` recomputes the end from the vertices, as a differentiable number.
 """
 
 from __future__ import annotations
@@ -14,10 +13,10 @@ from jaxtyping import Array, Float, Int
 
 from sonarjax.render.segments import CROSSING, EDGE, FIXED, Segments
 
-INSET = 0.02  # winners are asked this share of an interval inside its ends, where neighbours that touch do not tie
-TOUCH = 1e-6  # segments whose ends in elevation are closer than this touch: float32 computes a shared edge twice
-MEET = 0.1  # share of two lines' largest distance between two samples at which they touch
-BEND = 1e-4  # least such distance, as a share of 1/range, of lines that are told apart
+INSET = 0.02  # sample the nearest triangle this share of an interval inside its ends: at the end itself neighbours tie
+TOUCH = 1e-6  # segments touch if their ends in tau differ by less: the two triangles at an edge round it differently
+MEET = 0.1  # two lines meet at an end if their distance there is below this share of their largest between the samples
+BEND = 1e-4  # lines whose largest distance is below this share of 1/range count as one line
 EXACT_LIMIT = 32  # above this many candidates a slice is sampled in elevation instead
 
 
@@ -25,20 +24,23 @@ class VisibleIntervals(NamedTuple):
     """Stretches of elevation with one nearest triangle each, in ascending elevation; `-1` where nothing is hit."""
 
     winner: Int[Array, "slab interval"]
-    """Candidate that is nearest, or -1."""
+    """Candidate that is nearest, or -1 for none."""
     tau: Float[Array, "slab interval 2"]
     """Elevation tangents of both ends."""
     end: Int[Array, "slab interval 2"]
-    """What makes each end: 2 × candidate + side (0 lower, 1 upper end of its segment)."""
+    """What makes each end: 2 × candidate + side (0 for the lower, 1 for the upper end of the candidate's segment)."""
     how: Int[Array, "slab interval 2"]
     """EDGE where the candidate's segment ends there, CROSSING where the two surfaces cross, FIXED for neither."""
 
 
 def visible_intervals(segments: Segments, crossing: bool, elevations: int) -> VisibleIntervals:
-    """Visible intervals of each slice from its candidates' segments (slab, candidate), which may be `crossing`.
+    """Find the visible intervals of each slice.
+    Exact for up to EXACT_LIMIT candidates in a slice. Above that, the nearest triangle is sampled.
 
-    Exact for up to EXACT_LIMIT candidates a slice (then `elevations` plays no part); else the nearest triangle is
-    sampled at `elevations` directions that span the slice's object.
+    Args:
+        segments: Segments (slab, candidate).
+        crossing: Whether segments may cross each other between their ends.
+        elevations: Number of samples, over the elevations that the object fills; unused where the result is exact.
     """
     if not is_sampled(segments):
         return _exact_crossing(segments) if crossing else _exact(segments)
@@ -46,16 +48,16 @@ def visible_intervals(segments: Segments, crossing: bool, elevations: int) -> Vi
 
 
 def is_sampled(segments: Segments) -> bool:
-    """True when there are too many candidates a slice for its exact profile."""
+    """True if a slice has too many candidates to be solved exactly."""
     return segments.hit.shape[1] > EXACT_LIMIT
 
 
 def _nearest(segments: Segments, tau: Float[Array, "slab point"]) -> Int[Array, "slab point"]:
-    """The candidate with the largest 1/range at each elevation tangent, -1 where there is none.
-
-    One integer maximum finds it: the candidate's number replaces the lowest bits of 1/range. Those bits are worth
-    1/2¹³ of the range at 1,024 candidates and 1/2¹⁹ at 16, below any sonar's resolution. A loop over candidates keeps
-    XLA from computing the segments anew at every point (it would fuse them into the comparison).
+    """The candidate with the largest 1/range at each elevation tangent, or -1 where there is none.
+    A single integer maximum finds it, because the candidate's number replaces the lowest bits of 1/range. These bits
+    are worth 1/2¹³ of the range for 1,024 candidates and 1/2¹⁹ for 16, which is below any sonar's resolution. The loop
+    over candidates keeps XLA from fusing the segments into the comparison, where it would compute them anew at every
+    point.
     """
     count = segments.hit.shape[1]
     bits = (count - 1).bit_length()
@@ -77,12 +79,12 @@ def _nearest(segments: Segments, tau: Float[Array, "slab point"]) -> Int[Array, 
 
 
 def _intervals(segments: Segments) -> tuple[Array, Array, Array]:
-    """The segments' ends in ascending order (slab, end), and the elevations [low, high] between neighbours."""
+    """The segments' ends in ascending order (slab, end), and the lowest and highest tau between neighbouring ends."""
     slabs, count = segments.hit.shape
     ends = jnp.where(segments.hit[..., None], segments.tau, jnp.inf).reshape(slabs, 2 * count)
     order = _sorted_order(ends)
     bound = jnp.take_along_axis(ends, order, axis=1)  # inf at the end
-    # What is left over lies above every segment, so that nothing is found there.
+    # Unused ends are put above every segment, where nothing is found.
     bound = jnp.where(jnp.isfinite(bound), bound, 1e3)
     return order, bound[:, :-1], bound[:, 1:]
 
@@ -95,13 +97,13 @@ def _exact(segments: Segments) -> VisibleIntervals:
 
 
 def _exact_crossing(segments: Segments) -> VisibleIntervals:
-    """As `_exact`, but two surfaces may change places between two ends: each interval has two halves."""
+    """As `_exact`, but two surfaces may cross inside an interval: each interval is given as two halves."""
     order, low, high = _intervals(segments)
     inset = INSET * (high - low)
     asked = jnp.concatenate([low + inset, high - inset], axis=1)
     lower, upper = jnp.split(_nearest(segments, asked), 2, axis=1)  # winners just inside both ends
     crossing = _crossing_tau(segments, lower, upper, low, high)
-    meets = lower != upper  # two surfaces pass through each other here; else the second half is empty
+    meets = lower != upper  # two surfaces cross here; otherwise the second half is empty
     how = jnp.where(meets, CROSSING, EDGE)
     edge = jnp.full(how.shape, EDGE)
 
@@ -121,7 +123,7 @@ def _exact_crossing(segments: Segments) -> VisibleIntervals:
 
 
 def _sorted_order(values: Float[Array, "slab end"]) -> Int[Array, "slab end"]:
-    """As `argsort` along the last axis, by one integer sort (thrice as fast): the position replaces the lowest bits."""
+    """As `argsort` along the last axis, three times as fast: one integer sort, with the position in the lowest bits."""
     bits = (values.shape[1] - 1).bit_length()
     as_int = values.view(jnp.int32)
     ordered = jnp.where(as_int < 0, as_int ^ 0x7FFFFFFF, as_int)
@@ -129,7 +131,7 @@ def _sorted_order(values: Float[Array, "slab end"]) -> Int[Array, "slab end"]:
 
 
 def _crossing_tau(segments: Segments, i: Array, j: Array, low: Array, high: Array) -> Array:
-    """Where the lines of candidates i and j meet, kept inside [low, high]; `high` where i is j."""
+    """Where the lines of candidates i and j cross, kept inside [low, high]; `high` where i equals j."""
     a_i, b_i = (jnp.take_along_axis(segments.line[..., k], jnp.maximum(i, 0), axis=1) for k in (0, 1))
     a_j, b_j = (jnp.take_along_axis(segments.line[..., k], jnp.maximum(j, 0), axis=1) for k in (0, 1))
     differs = (i != j) & (i >= 0) & (j >= 0) & (jnp.abs(b_i - b_j) > 1e-9)
@@ -151,7 +153,7 @@ def _sampled(segments: Segments, elevations: int) -> VisibleIntervals:
     edge = jnp.full(first.shape, EDGE)
 
     def per_piece(lowest: Array, starts: Array, ends: Array, highest: Array) -> Array:
-        """Values of each interval's lower and upper end (slab, elevation, 2)."""
+        """Values at the lower and the upper end of each interval (slab, elevation, 2)."""
         lower, upper = jnp.concatenate([lowest, starts], axis=1), jnp.concatenate([ends, highest], axis=1)
         return jnp.stack([lower, upper], axis=-1)
 
@@ -172,13 +174,15 @@ def _end(segments: Segments, index: Array, side: int) -> Array:
 
 
 def _boundaries(segments: Segments, node: Array, winner: Array) -> tuple[Array, Array, Array, Array]:
-    """Where one winner hands over to the next, between neighbouring nodes.
+    """Where the nearest surface changes between neighbouring samples.
+    The sampling may miss candidates between two samples, so the end of the nearest candidate's segment need not be
+    where its surface ends. The rules, in this order: if such an end lies on the other candidate's line, the two
+    surfaces meet there. Otherwise they meet where their lines cross, if that is between the samples. Otherwise one
+    surface hides the other, and the end of the nearer one counts.
 
-    Returns its elevation tangent, what ends the interval below it, what starts the one above it, and how, each (slab,
-    elevation - 1). Candidates between the nodes may be passed over, so the end of a winner's own segment need not be
-    where its surface ends. Where such an end lies on the other winner's line the two do meet there. Else they meet
-    where their lines cross, if that is between the nodes. Else one hides the other, and the end of the one in front
-    counts.
+    Returns:
+        For each boundary (slab, elevation - 1): its elevation tangent, what ends the interval below, what starts the
+        interval above, and the kind of end.
     """
     i, j = winner[:, :-1], winner[:, 1:]
     below, above = node[:, :-1], node[:, 1:]
@@ -196,7 +200,7 @@ def _boundaries(segments: Segments, node: Array, winner: Array) -> tuple[Array, 
         jnp.where(inside, jnp.abs(apart(tau)), jnp.inf) for inside, tau in ((i_ends, i_end), (j_starts, j_start))
     )
     meet = both & (jnp.minimum(at_i, at_j) < MEET * most)
-    # Lines that all but coincide cross anywhere.
+    # Lines that nearly coincide have no reliable crossing.
     cross = both & ~meet & (apart(below) * apart(above) < 0) & (most > BEND * s_i)
     use_i = i_ends & ~cross & jnp.where(meet, at_i <= at_j, ~j_starts | (s_i >= s_j))
     use_j = j_starts & ~cross & ~use_i

@@ -1,8 +1,7 @@
-"""The simulator's core: one window of a sonar image from a surface in the sonar frame (§2.1, eq. 1–2).
-
-Its stages, a file each: azimuth `slabs`; the triangles that each may see, cut by its half-plane (`candidates`,
-`segments`); their visible intervals (`visibility`); echo spans and occluded spans with differentiable ends (`spans`);
-and how much of each range bin these cover (`rasterise`).
+"""The simulator's core: render one window of a sonar image from a surface in the sonar frame (§2.1, eq. 1–2).
+The stages, each in its own file: azimuth slabs (`slabs`); the triangles that each slab may see, cut by its half-plane
+(`candidates`, `segments`); the visible intervals (`visibility`); echo spans and occluded spans with differentiable ends
+(`spans`); the share of each range bin that the spans cover (`rasterise`).
 """
 
 from __future__ import annotations
@@ -39,26 +38,26 @@ from sonarjax.scene import Mesh, Pose
 from sonarjax.scene.pose import rotation_x, rotation_y
 from sonarjax.sonar import Sonar
 
-STEEPEST = 2.0  # slope in range per arc length [1] up to which a facet stands for its neighbours in the slab
+STEEPEST = 2.0  # up to this slope [m of range per m of arc], a facet narrower than its slab stands for its neighbours
 
 
 class VisibleProfile(NamedTuple):
-    """The visible profile of every slab; no part of it carries a gradient."""
+    """The visible profile of every slab. Nothing in it carries a gradient."""
 
     intervals: VisibleIntervals
     """Which candidate is nearest at which elevations."""
     segments: Segments
-    """The candidates, cut by the slab's half-plane: fields (slab, candidate, ...)."""
+    """The candidates, cut by the slab's half-plane; fields are (slab, candidate, ...)."""
     table: Int[Array, "slab candidate"]
-    """Triangle that each candidate is, or -1."""
+    """Triangle id of each candidate, or -1."""
     spans: Spans
-    """Echo spans of the object, and spans of hidden floor."""
+    """Echo spans and occluded spans."""
     overflow: Int[Array, ""]
-    """Triangles for which the fullest slice had no room."""
+    """How many triangles the fullest slice had no room for."""
 
 
 def in_sonar_frame(mesh: Mesh, pose: Pose, sonar: Sonar) -> Scene:
-    """The mesh at `pose` as seen from the sonar: vertices (vertex, 3) [m] in the sonar frame, aperture and floor."""
+    """The mesh at `pose` seen from the sonar: vertices (vertex, 3) [m] in the sonar frame, the aperture and the floor."""
     rotation = rotation_y(sonar.tilt) @ rotation_x(sonar.roll)  # columns: the sonar's axes in the ground frame
     height = jnp.asarray(sonar.height, jnp.float32)
     head = jnp.stack([jnp.zeros_like(height), jnp.zeros_like(height), height])
@@ -68,26 +67,25 @@ def in_sonar_frame(mesh: Mesh, pose: Pose, sonar: Sonar) -> Scene:
 
 
 class Objects(NamedTuple):
-    """Which of several objects in one mesh each of its triangles belongs to."""
+    """Which object each triangle belongs to, in a mesh that holds several."""
 
     owner: Int[Array, "face"]
     """Number of the object, from 0."""
     total: int
-    """How many there are."""
+    """Number of objects."""
 
 
 def find_visible(
     mesh: Mesh, scene: Scene, slabs: Slabs, sonar: Sonar, elevations: int, by_facet: Bool[Array, ""] | bool = False,
     objects: Objects | None = None,
 ) -> VisibleProfile:  # fmt: skip
-    """The visible profile in the middle of each slab (none of it with a gradient); `by_facet` as in `find_spans`.
-
-    With `objects`, no span is of two of them.
+    """Find the visible profile in the middle of each slab; nothing in it carries a gradient.
+    `by_facet` as in `find_spans`. If `objects` are given, no span joins two of them.
     """
     fixed = stop_gradient(scene)
     azimuth = stop_gradient(slabs.middle)
     seen = front_faces(fixed.vertices, fixed.faces, mesh.closed)
-    # The barriers keep XLA from fusing a stage into each of its uses, which costs compile time and run time alike.
+    # `materialised` keeps XLA from fusing a stage into each of its uses, which would cost compile time and run time.
     table, overflow = candidates(fixed.vertices, fixed.faces, seen, azimuth, mesh.crossings, mesh.front)
     table = jnp.broadcast_to(table, (len(azimuth), table.shape[1]))
 
@@ -114,19 +112,25 @@ def find_visible(
 
 def render_window(mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, quality: RenderQuality) -> SonarFrame:
     """Render one window of the image: slabs → candidates → visible intervals → spans → rasterise.
+    Under `jax.jit`, layers of the frame that are not used cost nothing.
 
-    Layers that are not used cost nothing under `jax.jit`.
+    Args:
+        mesh: One mesh, not stacked.
+        pose: One pose [m, rad].
+        sonar: The sonar that looks.
+        window: The part of the image to render.
+        quality: How finely to render.
     """
     return render_objects(mesh, None, pose, sonar, window, quality)[0]
 
 
 class ObjectLayers(NamedTuple):
-    """What each of several objects shows, and hides, in one frame: what another one hides of it is not there."""
+    """What each of several objects shows and hides in one frame. Parts of it that another object hides are left out."""
 
     highlight: Float[Array, "object range beam"]
-    """As in `SonarFrame`, of first hits of this object."""
+    """As in `SonarFrame`, for first hits of this object only."""
     shadow: Float[Array, "object range beam"]
-    """As in `SonarFrame`: floor that this object is the first to hide."""
+    """As in `SonarFrame`, for floor that this object is the first to hide."""
 
 
 def render_objects(
@@ -165,12 +169,12 @@ def render_objects(
 
 
 class EchoLayers(NamedTuple):
-    """What an object's facets send back, each (range, beam)."""
+    """An object's echo, highlight and shadow, each (range, beam)."""
 
     echo: Float[Array, "range beam"]
     """Elevation [rad] that first hits of the object fill."""
     highlight: Float[Array, "range beam"]
-    """As in `SonarFrame`; by facet, each shows at least a pulse."""
+    """As in `SonarFrame`. If rendered by facet, every facet shows at least one pulse length."""
     shadow: Float[Array, "range beam"]
     """As in `SonarFrame`."""
 
@@ -183,13 +187,23 @@ def render_echo(
     quality: RenderQuality,
     by_facet: Bool[Array, ""] | bool = True,
 ) -> EchoLayers:
-    """The object's echo facet by facet, its highlight and its shadow in a window of the image.
+    """Render an object's echo facet by facet, with its highlight and shadow, in a window of the image.
+    The echo is the elevation that first hits fill. Multiplied by eq. 2's spreading for each range, it is the object's
+    energy as in `render_window`, at the cost of a highlight: a facet's elevation is spread evenly over the ranges that
+    it shows in a slab. The gradient covers where this elevation falls, not how much it is. The echo does not depend on
+    incidence (`sonar.lambert` is not used).
 
-    The elevation that first hits fill, times the spreading that eq. 2 has for each range, is the object's energy as
-    `render_window` has it, at the cost of its highlight: a facet's elevation is spread evenly over the ranges that it
-    shows in a slab. How much elevation that is carries no gradient, only where it falls, and does not depend on
-    incidence (`sonar.lambert` plays no part). Where `by_facet` is false, a smooth chain of facets is one: the highlight
-    is then `render_window`'s, and the echo is even over the chain.
+    Args:
+        mesh: One mesh, not stacked.
+        pose: One pose [m, rad].
+        sonar: The sonar that looks.
+        window: The part of the image to render.
+        quality: How finely to render.
+        by_facet: If false, a smooth chain of facets counts as one. The highlight is then that of `render_window`, and
+            the echo is even over the chain.
+
+    Returns:
+        Layers (range, beam) of the window.
     """
     rows = window.shape[0]
     scene = in_sonar_frame(mesh, pose, sonar)
@@ -229,16 +243,18 @@ def _pairs(ends: Float[Array, "slab end"]) -> Float[Array, "slab 2 item"]:
 def _swept_ends(
     spans: Spans, slabs: Slabs, scene: Scene, sonar: Sonar, edges: Float[Array, "edge"]
 ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    """Both ends (slab, 2, item) [bins] of echo spans mid-slab, and half their sweep; the same of occluded spans."""
+    """Both ends (slab, 2, item) [bins] of echo spans in the middle of a slab, and how far they move to its edge; then
+    the same of occluded spans.
+    """
 
     def bins(azimuth: Float[Array, "slab"]) -> Float[Array, "slab end"]:
         ranges = trace_ranges(spans, azimuth, scene)
-        if sonar.floor is not None:  # only a floor that is there is hidden
+        if sonar.floor is not None:  # beside the platform there is no floor to hide
             ranges = jnp.where(spans.on_object, ranges, jnp.clip(ranges, *platform_span(azimuth, scene, sonar)))
         return (ranges - edges[0]) / sonar.range_bin
 
     middle, slope = jax.jvp(bins, (slabs.middle,), (jnp.ones_like(slabs.middle),))
-    # A facet narrower than the slab is followed only as far as it reaches, or as a surface of STEEPEST would be.
+    # A facet narrower than the slab is followed only over its own width, or as far as a slope of STEEPEST allows.
     half_width = (slabs.width / 2)[:, None]
     reach = facet_width(spans, slabs.middle, scene)
     steep = STEEPEST * (middle + edges[0] / sonar.range_bin) / jnp.maximum(jnp.abs(slope), 1e-6)
@@ -251,7 +267,7 @@ def _swept_ends(
 def _pulsed(
     middle: Float[Array, "slab 2 echo_span"], half: Float[Array, "slab 2 echo_span"], sonar: Sonar
 ) -> tuple[Float[Array, "slab 2 echo_span"], Float[Array, "slab 2 echo_span"]]:
-    """Runs no shorter than the pulse (at least a bin)."""
+    """Lengthen spans that are shorter than the pulse (at least one bin) to its length."""
     pulse = jnp.maximum(jnp.asarray(sonar.pulse_length, jnp.float32) / sonar.range_bin, 1.0)
     short = (middle[:, 1] - middle[:, 0] < pulse)[:, None]
     grown = middle.mean(axis=1, keepdims=True) + pulse * jnp.array([[-0.5], [0.5]])
