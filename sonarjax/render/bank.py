@@ -123,7 +123,7 @@ def template_bank(
 
 
 def _attitudes(yaws: np.ndarray, others: dict[str, Any]) -> np.ndarray:
-    """Yaw, z, roll and pitch of each template (yaw, 4). Raises SonarjaxError for a wrong shape or a number not finite."""
+    """Yaw, z, roll and pitch of each template (yaw, 4). Raises SonarjaxError for a wrong shape or non-finite number."""
     for name, value in others.items():
         if np.shape(value) not in ((), yaws.shape) or not np.isfinite(np.asarray(value)).all():
             raise SonarjaxError(f"{name}: expected a finite number or one for each of {len(yaws)} yaws")
@@ -191,7 +191,9 @@ def _touched_box(images: np.ndarray) -> tuple[tuple[int, int], tuple[int, int]] 
 
 
 def bank_place(bank: TemplateBank, sonar: Sonar) -> tuple[float, float]:
-    """Slant range [m] of the floor under the object's origin, and its image azimuth [rad]: matching shifts these two."""
+    """Slant range [m] of the floor at the object's origin, and its image azimuth [rad]: the two that matching
+    shifts.
+    """
     return float(np.hypot(bank.ground_range, float(sonar.height))), float(_image_azimuth(bank.x, bank.y, sonar))
 
 

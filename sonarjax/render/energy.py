@@ -1,4 +1,4 @@
-"""The energy of the echo in each range bin (eq. 2): first hits of objects and of the floor, spread over their ranges."""
+"""The echo's energy in each range bin (eq. 2): first hits of objects and of the floor, spread over their ranges."""
 
 from __future__ import annotations
 

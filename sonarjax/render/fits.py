@@ -1,4 +1,4 @@
-"""Check that an object can fit the sonar's view: a mesh drawn in millimetres cannot, and mesh files seldom name a unit."""
+"""Check that an object fits the sonar's view: one drawn in millimetres does not, and mesh files seldom name a unit."""
 
 from __future__ import annotations
 

@@ -79,7 +79,7 @@ def edge_point(
 
 
 def cut(corners: Float[Array, "*#batch 3 3"], azimuth: Float[Array, "*#batch"], view: View) -> Segments:
-    """Cut triangles (..., corner, xyz) [m] at `azimuth` [rad]; keep what lies inside the aperture and above the floor."""
+    """Cut triangles (..., corner, xyz) [m] at `azimuth` [rad]; keep what is inside the aperture and above the floor."""
     c, s = jnp.cos(azimuth), jnp.sin(azimuth)
     side = [c * corners[..., k, 1] - s * corners[..., k, 0] > 0 for k in range(3)]  # to port of the slice
     crossed = [side[k] != side[(k + 1) % 3] for k in range(3)]  # two of the edges, or none

@@ -83,7 +83,7 @@ def _render(mesh: Mesh, pose: Pose, sonar: Sonar, quality: RenderQuality) -> Son
 
 
 def one_by_one(function: Callable[[Any], Any], items: Any) -> Any:
-    """Compute `jax.vmap(function)(items)`; on a CPU take one item at a time, because a batch would not fit the caches."""
+    """Compute `jax.vmap(function)(items)`; on a CPU one item at a time, because a batch would not fit the caches."""
     count = len(jax.tree.leaves(items)[0])
     return jax.lax.map(function, items, batch_size=None if jax.default_backend() == "cpu" else count)
 

@@ -57,7 +57,7 @@ class VisibleProfile(NamedTuple):
 
 
 def in_sonar_frame(mesh: Mesh, pose: Pose, sonar: Sonar) -> Scene:
-    """The mesh at `pose` seen from the sonar: vertices (vertex, 3) [m] in the sonar frame, the aperture and the floor."""
+    """The mesh at `pose` seen from the sonar: vertices (vertex, 3) [m] in the sonar frame, aperture and floor."""
     rotation = rotation_y(sonar.tilt) @ rotation_x(sonar.roll)  # columns: the sonar's axes in the ground frame
     height = jnp.asarray(sonar.height, jnp.float32)
     head = jnp.stack([jnp.zeros_like(height), jnp.zeros_like(height), height])

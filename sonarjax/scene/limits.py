@@ -1,4 +1,4 @@
-"""How large, how far away and how finely divided an object may be, and one clear error where it is more."""
+"""Limits on an object's size, distance and number of triangles, and one clear error beyond them."""
 
 from __future__ import annotations
 
@@ -12,29 +12,31 @@ from jaxtyping import Float
 from sonarjax.io.errors import SonarjaxError
 
 LARGEST_EXTENT_M = 100.0
-"""An object longer than this [m] is taken for one drawn in millimetres."""
+"""An object longer than this [m] is assumed to be drawn in millimetres."""
 SMALLEST_EXTENT_M = 1e-4
-"""An object shorter than this [m] is taken for one that was scaled twice."""
+"""An object shorter than this [m] is assumed to have been scaled twice."""
 FARTHEST_VERTEX_M = 1000.0
-"""Largest coordinate of a mesh in its own frame [m]: float32 keeps 0.06 mm there, at 10,000 km no shape at all."""
+"""Largest coordinate of a mesh in its own frame [m]. There float32 resolves 0.06 mm; at 10,000 km the shape would be
+lost.
+"""
 FARTHEST_POSE_M = 1e6
-"""Largest coordinate of a pose [m]; what is so far away is out of every sonar's view, and 10²⁰ m overflows float32."""
+"""Largest coordinate of a pose [m]. Anything so far away is out of every sonar's view, and 10²⁰ m overflows float32."""
 LARGEST_ANGLE = 1e6
-"""Largest angle of a pose [rad], about 160,000 turns: beyond, float32 keeps no part of a turn."""
+"""Largest angle of a pose [rad], about 160,000 revolutions; float32 resolves 0.06 rad there."""
 MAX_FACES = 2**21
-"""Most triangles of a mesh: reading as many takes 2 GiB of memory and minutes."""
+"""Most triangles of a mesh; reading so many takes 2 GiB of memory and minutes."""
 
 
 def check_face_count(count: int, name: str) -> None:
-    """Raises SonarjaxError when a mesh of `count` triangles would be too fine to work with."""
+    """Raise a SonarjaxError if a mesh of `count` triangles is too fine to work with."""
     if count > MAX_FACES:
         raise SonarjaxError(f"{name}: expected at most {MAX_FACES} triangles, got {count}: simplify the mesh")
 
 
 def check_coordinates(vertices: Float[np.ndarray, "vertex 3"], name: str) -> None:
-    """Raises SonarjaxError when the vertices (vertex, 3) of a mesh cannot be metres around the mesh's own origin."""
+    """Raise a SonarjaxError if the vertices (vertex, 3) of a mesh cannot be metres around the mesh's own origin."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
-    with np.errstate(over="ignore"):  # infinite is too long as well
+    with np.errstate(over="ignore"):  # an extent that overflows to infinity is too long as well
         extent = float((high - low).max())
     if extent > LARGEST_EXTENT_M:
         hint = "in millimetres? then give unit_m=0.001" if extent <= 1000 * LARGEST_EXTENT_M else "is the file corrupt?"
@@ -52,7 +54,7 @@ def check_coordinates(vertices: Float[np.ndarray, "vertex 3"], name: str) -> Non
 
 
 def check_pose(pose: Any) -> None:
-    """Raises SonarjaxError unless every field of a Pose is finite and not absurdly large; traced values are skipped."""
+    """Raise a SonarjaxError unless every field of a Pose is finite and not absurdly large; skip traced values."""
     for field, most, unit in (
         ("x", FARTHEST_POSE_M, "m"), ("y", FARTHEST_POSE_M, "m"), ("z", FARTHEST_POSE_M, "m"),
         ("yaw", LARGEST_ANGLE, "rad"), ("pitch", LARGEST_ANGLE, "rad"), ("roll", LARGEST_ANGLE, "rad"),

@@ -1,7 +1,6 @@
-"""Triangle meshes as padded arrays, read by trimesh (this is the only file that imports it).
-
-Meshes are padded to a few fixed sizes, so that meshes of different size share compiled code. What the renderer
-must know about a mesh before it compiles (how many triangles a slice can cross) is measured here, on the host.
+"""Triangle meshes as padded arrays, read by trimesh (only `scene/` imports it).
+Meshes are padded to a few fixed sizes, so that meshes of different size share compiled code. What the renderer must
+know about a mesh before it compiles, such as how many triangles a slice can cross, is measured here, on the host.
 """
 
 from __future__ import annotations
@@ -24,16 +23,15 @@ from sonarjax.scene.limits import check_coordinates, check_face_count
 from sonarjax.scene.mesh_file import check_mesh_file, reading_problem
 from sonarjax.scene.slicing import has_crossing_triangles, most_crossings, most_front
 
-CREASE_ANGLE = math.radians(20.0)  # edges sharper than this count as edges of the body, not of its tessellation
+CREASE_ANGLE = math.radians(20.0)  # an edge that bends more is an edge of the body, not of its tessellation
 MAX_EVENTS = 64
-CHECKED_FACES = 1000  # larger meshes are taken to pass through themselves: to check them takes seconds
+CHECKED_FACES = 1000  # larger meshes are assumed to pass through themselves, because the check would take seconds
 
 
 @record
 class Mesh:
-    """A triangle surface in its own frame [m]; a pytree whose differentiable leaf is `vertices`.
-
-    Build it with `Mesh.load`, `Mesh.from_arrays` or the functions of `sonarjax.scene.objects`; `stack_meshes` makes a
+    """A triangle surface in its own frame [m]; a pytree that is differentiable in `vertices`.
+    Build it with `Mesh.load`, `Mesh.from_arrays` or the functions of `sonarjax.scene.objects`. `stack_meshes` makes a
     batch for `jax.vmap`. Only counts are static: two meshes of one padded size and capacity share compiled code.
     """
 
@@ -42,31 +40,36 @@ class Mesh:
     faces: Int[Array, "*batch face 3"]
     """Vertex indices of each triangle, counter-clockwise from outside; padding is (0, 0, 0)."""
     crease: Int[Array, "*batch event"]
-    """Vertices at sharp edges: the azimuths at which a slice's profile may jump; padding is vertex 0."""
+    """Vertices at sharp edges, at whose azimuths a slice's profile may jump; padding is vertex 0."""
     closed: Bool[Array, "*batch"]
-    """True when the surface encloses a volume: faces that look away from the sonar are then never seen."""
+    """True if the surface encloses a volume; faces that look away from the sonar are then never seen."""
     radius: Float[Array, "*batch"]
-    """Largest horizontal distance of a vertex from the mesh origin [m], rounded up: sizes the render window."""
+    """Largest horizontal distance of a vertex from the mesh origin [m], rounded up. Windows are sized by it."""
     top: Float[Array, "*batch"]
     """Largest height of a vertex above the mesh origin [m], rounded up."""
     crossings: int = static(default=0)
-    """Room for the triangles that one vertical slice crosses (front faces only where `closed`)."""
+    """Most triangles that one vertical slice has room for (only front faces if `closed`)."""
     front: int = static(default=0)
-    """Room for the triangles that look at the sonar at once (all of them unless `closed`)."""
+    """Most triangles facing the sonar at once that there is room for (all triangles unless `closed`)."""
     intersecting: bool = static(default=True)
-    """False when no two triangles pass through each other: slices then hold half as many visible intervals."""
+    """False if no two triangles pass through each other; slices then hold half as many visible intervals."""
     events: int = static(default=MAX_EVENTS)
-    """Room for the crease vertices at whose azimuths a view's slabs end; the steepest silhouettes come first."""
+    """Most crease vertices at whose azimuths the slabs of a view end; those on the steepest silhouettes are taken
+    first.
+    """
     reflectivity: Float[Array, "*batch face"] | None = None
-    """What each triangle sends back, times what a triangle of 1 does [1]; None: all are alike."""
+    """Factor on the energy that each triangle sends back [1]; None if all are 1."""
 
     @classmethod
     def load(cls, path: str | Path, unit_m: float | None = None) -> Mesh:
-        """Read a surface in any format trimesh reads (STL, OBJ, PLY, GLB, 3MF, OFF, …).
+        """Read a surface from any format that trimesh reads (STL, OBJ, PLY, GLB, 3MF, OFF, …).
+        Args:
+            path: The mesh file.
+            unit_m: Length of the file's unit [m]. By default the unit that the file names, or else metres.
 
-        `unit_m` is the length of the file's unit [m]; by default the file's own unit where it has one, else metres.
-        Raises SonarjaxError when the file is missing, empty, too large, corrupt or not a surface, and when its
-        coordinates cannot be metres (`sonarjax.scene.limits`).
+        Raises:
+            SonarjaxError: The file is missing, empty, too large, corrupt or not a surface, or its coordinates cannot be
+                metres (`sonarjax.scene.limits`).
         """
         path = Path(path)
         if path.is_dir():
@@ -85,10 +88,15 @@ class Mesh:
 
     @classmethod
     def from_arrays(cls, vertices: Any, faces: Any, name: str = "mesh") -> Mesh:
-        """A mesh from vertices (vertex, 3) [m] and triangles (face, 3); `name` is used in messages.
+        """Make a mesh from arrays.
+        Args:
+            vertices: Vertices (vertex, 3) [m].
+            faces: Vertex numbers (face, 3) of the triangles.
+            name: Name of the mesh in error messages.
 
-        Raises SonarjaxError when there is no triangle or more than `MAX_FACES`, a value is not finite, an index is out
-        of range, or the extent says that the coordinates are not metres.
+        Raises:
+            SonarjaxError: There is no triangle or more than `MAX_FACES`, a value is not finite, an index is out of
+                range, or the extent shows that the coordinates are not metres.
         """
         vertices, faces = np.asarray(vertices), np.asarray(faces)
         check_face_count(len(np.atleast_1d(faces)), name)  # before anything is copied
@@ -107,11 +115,13 @@ class Mesh:
         return _padded(surface, closed)
 
     def with_vertices(self, vertices: Float[Array, "vertex 3"]) -> Mesh:
-        """The same triangles with other vertex positions (vertex, 3) [m], to deform or differentiate a shape.
+        """The same triangles with other vertex positions (vertex, 3) [m], to deform a shape or differentiate by it.
+        The gradient by the shape is `jax.grad(lambda v: loss(mesh.with_vertices(v)))(mesh.vertices)`. For concrete
+        vertices, what slices can meet is measured again. For traced ones it is kept, and `SonarFrame.overflow` says
+        whether it still suffices.
 
-        The gradient by a shape is `jax.grad(lambda v: loss(mesh.with_vertices(v)))(mesh.vertices)`. What slices may
-        meet is measured again for concrete vertices, and kept for traced ones: `SonarFrame.overflow` says whether it
-        still holds. Raises SonarjaxError for another shape, or concrete values that are not finite.
+        Raises:
+            SonarjaxError: The shape differs, or concrete values are not finite.
         """
         if tuple(vertices.shape) != tuple(self.vertices.shape):
             raise SonarjaxError(f"vertices: expected shape {self.vertices.shape}, got {tuple(vertices.shape)}")
@@ -124,7 +134,9 @@ class Mesh:
         return replace(self, vertices=jnp.asarray(positions), **_measured(positions, real, bool(self.closed)))
 
     def with_room(self, crossings: int, front: int) -> Mesh:
-        """The same mesh with room for so many triangles in a slice, and looking at the sonar; never less than now."""
+        """The same mesh with room for at least so many triangles in a slice, and facing the sonar; never less than it
+        has.
+        """
         most = self.n_faces
         return replace(
             self,
@@ -139,9 +151,9 @@ class Mesh:
 
 
 def stack_meshes(meshes: Sequence[Mesh]) -> Mesh:
-    """Several meshes as one batch (mesh, ...) for `jax.vmap`, padded to common sizes and capacities.
-
-    Raises SonarjaxError when there is none.
+    """Stack several meshes into one batch (mesh, ...) for `jax.vmap`, padded to common sizes and capacities.
+    Raises:
+        SonarjaxError: The sequence is empty.
 
     >>> from sonarjax.scene import objects
     >>> stack_meshes([objects.brick(), objects.target()]).vertices.shape[0]
@@ -171,7 +183,7 @@ def stack_meshes(meshes: Sequence[Mesh]) -> Mesh:
 
 
 def _reflectivity(mesh: Mesh, faces: int) -> Array:
-    """What each triangle sends back (face,), padded with ones."""
+    """Factor on the energy of each triangle (face,), padded with ones."""
     own = jnp.ones(mesh.n_faces) if mesh.reflectivity is None else mesh.reflectivity
     return jnp.pad(own, (0, faces - mesh.n_faces), constant_values=1.0)
 
@@ -202,7 +214,7 @@ def _read_surface(path: Path) -> tuple[np.ndarray, np.ndarray, str | None]:
     try:
         check_mesh_file(path)
         loaded = trimesh.load(path, process=False)
-        if isinstance(loaded, trimesh.Scene):  # one small geometry may stand in a scene a million times
+        if isinstance(loaded, trimesh.Scene):  # a scene may hold one small geometry a million times
             check_face_count(_faces_of_scene(loaded), str(path))
         surface = loaded.to_mesh() if isinstance(loaded, trimesh.Scene) else loaded
         if not isinstance(surface, trimesh.Trimesh):
@@ -260,7 +272,7 @@ def _padded(surface: trimesh.Trimesh, closed: bool) -> Mesh:
 
 
 def _measured(vertices: np.ndarray, faces: np.ndarray, closed: bool) -> dict[str, Any]:
-    """What the renderer must know of a surface beforehand: its extent, and how many triangles slices may meet."""
+    """What the renderer must know in advance: the extent of the surface, and how many triangles slices can meet."""
     used = vertices[_mentioned(faces, len(vertices))]
     return {
         "radius": jnp.float32(_round_up(float(np.hypot(used[:, 0], used[:, 1]).max()))),
@@ -276,7 +288,7 @@ def _pad(values: np.ndarray, size: int, filler: np.ndarray) -> np.ndarray:
 
 
 def _bucket(count: int) -> int:
-    """Smallest of 8, 12, 16, 24, 32, 48, 64, … that holds `count`: at most half of it is padding."""
+    """Smallest of 8, 12, 16, 24, 32, 48, 64, … that is at least `count`: less than half of it is padding."""
     power = 1 << max(3, math.ceil(math.log2(count)))
     return power * 3 // 4 if 8 < count <= power * 3 // 4 else power
 
@@ -286,7 +298,7 @@ def _round_up(length: float, step: float = 0.01) -> float:
 
 
 def _crease_vertices(surface: trimesh.Trimesh) -> np.ndarray:
-    """Vertices (event,) of sharp or open edges, in ascending order."""
+    """Vertices (event,) at sharp or open edges, in ascending order."""
     sharp = surface.face_adjacency_edges[surface.face_adjacency_angles > CREASE_ANGLE]
     edges = surface.edges_sorted
     once = trimesh.grouping.group_rows(edges, require_count=1)

@@ -1,7 +1,6 @@
-"""Mesh files before trimesh opens them: their size, what their headers announce, and why they cannot be read.
-
-A header of a few bytes can ask for any amount of memory, so what it announces is checked first. trimesh tries other
-readers on a corrupt file and reports the last one's trouble; the messages here name what is wrong with the file.
+"""Check mesh files before trimesh opens them: their size, what their headers announce, and why they cannot be read.
+A header of a few bytes can ask for any amount of memory, so it is checked first. On a corrupt file trimesh tries one
+reader after another and reports the trouble of the last; the messages here say what is wrong with the file.
 """
 
 from __future__ import annotations
@@ -21,16 +20,17 @@ from sonarjax.scene.limits import MAX_FACES, check_face_count
 MESH_LIMIT = 512 * 2**20
 """Largest mesh file, 512 MiB [bytes]: `MAX_FACES` triangles as text; a reader needs several times as much memory."""
 HEADER_BYTES = 4096
-"""How much of a file is looked at for its header [bytes]."""
+"""How much of the start of a file is read to find its header [bytes]."""
 STL_HEADER, STL_FACE = 84, 50
 """Size of the header and of a triangle of a binary STL file [bytes]."""
 PLAIN = (".stl", ".obj", ".ply", ".off", ".glb", ".gltf")
-"""Formats that trimesh reads without another package: an import that fails there is a text that cannot be decoded."""
+"""Formats that trimesh reads without another package. An ImportError for one of them means text that cannot be decoded.
+"""
 PACKED = (".gz", ".bz2", ".xz", ".tar", ".tgz")
 
 
 def check_mesh_file(path: Path) -> None:
-    """Raises SonarjaxError when a mesh file is too large, announces too much, or is cut off (where its size tells)."""
+    """Raise a SonarjaxError if a mesh file is too large, announces too much, or is truncated (where its size tells)."""
     size = path.stat().st_size
     check_size(str(path), size, min(MESH_LIMIT, size_limit()))
     ending = path.suffix.lower()
@@ -49,7 +49,7 @@ def check_mesh_file(path: Path) -> None:
 
 
 def reading_problem(path: Path, error: Exception) -> SonarjaxError:
-    """The error to raise when trimesh could not read `path` and raised `error`: one line that names the file."""
+    """The error to raise after trimesh failed to read `path` with `error`: one line that names the file."""
     ending = path.suffix.lower()
     kind = ending.removeprefix(".").upper()
     if isinstance(error, MemoryError):
@@ -63,7 +63,7 @@ def reading_problem(path: Path, error: Exception) -> SonarjaxError:
 
 
 def _check_stl(path: Path, start: bytes, size: int) -> None:
-    """A binary STL says how many triangles follow. One that opens with `solid` may be text, which trimesh reads."""
+    """A binary STL file says how many triangles follow. One that starts with `solid` may be text, left to trimesh."""
     count = struct.unpack_from("<I", start, STL_HEADER - 4)[0] if len(start) >= STL_HEADER else 0
     expected = STL_HEADER + STL_FACE * count
     if size == expected:
@@ -82,11 +82,11 @@ def _check_ply(path: Path, start: bytes) -> None:
 
 
 def _check_gltf(path: Path, start: bytes) -> None:
-    """An accessor without data stands for so many zeros, whatever the size of the file."""
+    """In glTF an accessor without data stands for that many zeros, however small the file is."""
     try:
         with open(path, "rb") as file:
             if start[:4] == b"glTF":
-                file.seek(20)  # after the file's header and that of its first chunk, the JSON
+                file.seek(20)  # skip the header of the file and that of its first chunk, which holds the JSON
                 text = file.read(struct.unpack_from("<I", start, 12)[0])
             else:
                 text = file.read()

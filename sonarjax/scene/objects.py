@@ -1,4 +1,4 @@
-"""The paper's objects (Fig. 4 and 6) and tank (Table 1), built from trimesh-free arrays of boxes and cylinders."""
+"""The paper's objects (Fig. 4 and 6) and tank (Table 1), built from boxes and cylinders as plain arrays."""
 
 from __future__ import annotations
 
@@ -17,7 +17,11 @@ Arrays = tuple[np.ndarray, np.ndarray]
 
 
 def box(size: tuple[float, float, float], center: tuple[float, float, float], yaw: float = 0.0) -> Arrays:
-    """A box as vertices (8, 3) [m] and outward triangles (12, 3); `size` and `center` [m], `yaw` [rad].
+    """A box as vertices (8, 3) [m] and triangles (12, 3) that face outwards.
+    Args:
+        size: Length, width and height [m].
+        center: Centre [m].
+        yaw: Rotation about the vertical [rad].
 
     >>> vertices, faces = box((0.4, 0.2, 0.1), (0.0, 0.0, 0.05))
     >>> vertices.min(axis=0).tolist(), len(faces)
@@ -31,7 +35,7 @@ def box(size: tuple[float, float, float], center: tuple[float, float, float], ya
 
 
 def cylinder_arrays(radius: float, height: float, sides: int = 48) -> Arrays:
-    """An upright cylinder standing on z = 0 as vertices (2 sides + 2, 3) [m] and triangles; lengths [m]."""
+    """An upright cylinder on z = 0 as vertices (2 sides + 2, 3) and triangles; `radius` and `height` in [m]."""
     angle = 2 * math.pi * np.arange(sides) / sides
     ring = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros(sides)], axis=1)
     vertices = np.concatenate([ring, ring + [0, 0, height], [[0, 0, 0], [0, 0, height]]])
@@ -42,7 +46,7 @@ def cylinder_arrays(radius: float, height: float, sides: int = 48) -> Arrays:
 
 
 def sphere_arrays(radius: float, rings: int = 24, sectors: int = 48) -> Arrays:
-    """A ball that touches z = 0 as vertices (vertex, 3) [m] and triangles; `radius` [m]."""
+    """A ball that touches z = 0, as vertices (vertex, 3) and triangles; `radius` [m]."""
     polar = math.pi * np.arange(1, rings) / rings
     angle = 2 * math.pi * np.arange(sectors) / sectors
     grid = np.stack(
@@ -63,7 +67,7 @@ def sphere_arrays(radius: float, rings: int = 24, sectors: int = 48) -> Arrays:
 
 
 def join(*parts: Arrays) -> Arrays:
-    """Several surfaces as one: vertices (vertex, 3) [m] and triangles (face, 3)."""
+    """Join several surfaces into one: vertices (vertex, 3) [m] and triangles (face, 3)."""
     offsets = np.cumsum([0] + [len(vertices) for vertices, _ in parts[:-1]])
     return (
         np.concatenate([vertices for vertices, _ in parts]),
@@ -72,13 +76,12 @@ def join(*parts: Arrays) -> Arrays:
 
 
 def brick(length: float = BRICK_M[0], width: float = BRICK_M[1], height: float = BRICK_M[2]) -> Mesh:
-    """One brick lying on the floor, its long side along x; lengths [m]."""
+    """A brick that lies on the floor with its long side along x; lengths [m]."""
     return Mesh.from_arrays(*box((length, width, height), (0.0, 0.0, height / 2)), name="brick")
 
 
 def target() -> Mesh:
-    """The target of Fig. 6: two bricks in an L with a third lying across the corner; no symmetry in yaw.
-
+    """The target of Fig. 6: two bricks in an L and a third across the corner. It has no symmetry in yaw.
     The bottom bricks stand 1 mm apart, so that no two faces coincide.
     """
     height = BRICK_M[2]
@@ -93,7 +96,7 @@ def target() -> Mesh:
 
 
 def non_target() -> Mesh:
-    """The non-target of Fig. 6: the same three bricks, two abreast and one standing on its long narrow side."""
+    """The non-target of Fig. 6: the same three bricks, two side by side and one standing on its long narrow side."""
     length, width, height = BRICK_M
     return Mesh.from_arrays(
         *join(
@@ -116,9 +119,8 @@ def ball(radius: float = 0.11, rings: int = 24, sectors: int = 48) -> Mesh:
 
 
 def tank(size: tuple[float, float, float] = TANK_M) -> Mesh:
-    """The four walls of the tank of Table 1 around the origin, seen from inside; `size` = length, width, height [m].
-
-    An open surface: both sides of a wall reflect.
+    """The four walls of the tank of Table 1 around the origin; `size` = length, width, height [m].
+    The surface is open: both sides of a wall reflect.
     """
     vertices, faces = box(size, (0.0, 0.0, size[2] / 2))
     return Mesh.from_arrays(vertices, faces[4:], name="tank")

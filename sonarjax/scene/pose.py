@@ -1,4 +1,4 @@
-"""Where an object stands: position on the floor and rotation, as a pytree of float32 leaves of one shape."""
+"""Where an object stands: position on the floor and rotation, as a pytree of float32 fields of one shape."""
 
 from __future__ import annotations
 
@@ -17,10 +17,9 @@ Scalar = Any  # a Python float, a NumPy scalar or a JAX array of any batch shape
 @record
 class Pose:
     """Pose of an object in the ground frame (x forward, y to port, z up; origin on the floor under the sonar).
-
     The constructor broadcasts numbers and arrays to float32 fields of one shape `*batch`. A batch of poses is a batch
-    for `render`, and for `jax.vmap`: `jax.vmap(f)(Pose(x=xs, y=0.0, yaw=yaws))`.
-    The rotation is yaw, then pitch, then roll about the object's own axes: R = Rz(yaw) Ry(pitch) Rx(roll).
+    for `render` and for `jax.vmap`: `jax.vmap(f)(Pose(x=xs, y=0.0, yaw=yaws))`. The rotation is yaw, then pitch, then
+    roll about the object's own axes: R = Rz(yaw) Ry(pitch) Rx(roll).
 
     >>> Pose(x=2.0, y=[0.0, 0.5], yaw=0.0).shape
     (2,)
@@ -48,7 +47,7 @@ class Pose:
         roll: Scalar = 0.0,
         pitch: Scalar = 0.0,
     ) -> None:
-        """Positions [m] and angles [rad] of any shapes that broadcast. Raises ValueError where they do not."""
+        """Broadcast positions [m] and angles [rad] to one shape. Raises ValueError if their shapes do not broadcast."""
         numbers = [v if isinstance(v, jnp.ndarray) else np.asarray(v, np.float32) for v in (x, y, yaw, z, roll, pitch)]
         shape = jnp.broadcast_shapes(*(v.shape for v in numbers))
         for name, value in zip(("x", "y", "yaw", "z", "roll", "pitch"), numbers, strict=True):
@@ -60,16 +59,16 @@ class Pose:
         return tuple(self.x.shape)
 
     def to_ground(self, vertices: Float[Array, "vertex 3"]) -> Float[Array, "vertex 3"]:
-        """Vertices (vertex, 3) [m] of the mesh frame, moved to the ground frame [m]; for one pose."""
+        """Move vertices (vertex, 3) [m] from the mesh frame to the ground frame; for a single pose."""
         return vertices @ self.rotation().T + jnp.stack([self.x, self.y, self.z])
 
     def rotation(self) -> Float[Array, "3 3"]:
-        """Rotation matrix (3, 3) from the mesh frame to the ground frame; for one pose."""
+        """Rotation matrix (3, 3) from the mesh frame to the ground frame; for a single pose."""
         return rotation_z(self.yaw) @ rotation_y(self.pitch) @ rotation_x(self.roll)
 
 
 def _spread_out(value: Any, shape: tuple[int, ...]) -> Any:
-    """A field as float32 of `shape`; broadcasting host numbers on the host compiles nothing."""
+    """Broadcast a field to float32 of `shape`; numbers that are on the host stay there, so that nothing is compiled."""
     if isinstance(value, np.ndarray):
         return jax.device_put(np.broadcast_to(value, shape))
     value = value if value.dtype == jnp.float32 else value.astype(jnp.float32)

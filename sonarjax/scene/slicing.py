@@ -1,4 +1,6 @@
-"""What vertical slices will meet in a mesh, found once when it is read: how many triangles, and whether they cross."""
+"""Measure on the host, once for each mesh, what vertical slices can meet: how many triangles, and whether they
+cross.
+"""
 
 from __future__ import annotations
 
@@ -8,19 +10,19 @@ from functools import reduce
 import numpy as np
 from jaxtyping import Float, Int
 
-INSIDE = 1e-4  # share of an edge or a triangle by which a point must lie inside it: bodies that only touch do not cross
+INSIDE = 1e-4  # a crossing must lie this share inside both edge and triangle: bodies that only touch do not cross
 PAIRS_AT_ONCE = 1 << 21
-FINE = 20_000  # above this many triangles counts are taken from bins and fewer directions: seconds else
+FINE = 20_000  # above this many triangles, count by bins and in fewer directions: the exact count would take seconds
 BINS = 1 << 15
 
 
 def most_crossings(
     vertices: Float[np.ndarray, "vertex 3"], faces: Int[np.ndarray, "face 3"], closed: bool, views: int = 48
 ) -> int:
-    """Triangles that a vertical plane through `vertices` (vertex, 3) [m] crosses, at most, over sampled directions.
-
-    Of a `closed` surface only those count that look at the sonar. Each direction is also tried with two tilts, because
-    pitch and roll turn other triangles into the slice; 15 % are added for the directions between.
+    """Most triangles that a vertical plane through `vertices` (vertex, 3) [m] crosses, over sampled directions, plus 15
+    %.
+    For a `closed` surface only triangles that face the sonar count. Each direction is also tried with two tilts,
+    because pitch and roll bring other triangles into the slice. The 15 % allow for the directions in between.
     """
     worst = 0
     overlap = _deepest_overlap if len(faces) <= FINE else _deepest_overlap_by_bins
@@ -37,13 +39,13 @@ def most_crossings(
             if closed:
                 seen = normals @ (math.cos(down) * along + np.array([0, 0, -math.sin(down)])) < 0
                 worst = max(worst, overlap(starts[seen], ends[seen]))
-            elif down == 0.0:  # the tilt decides only which triangles look at the sonar
+            elif down == 0.0:  # the tilt matters only for which triangles face the sonar
                 worst = max(worst, overlap(starts, ends))
     return math.ceil(worst * 1.15)
 
 
 def _normals(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Normals (face, 3) of triangles, not scaled."""
+    """Normals (face, 3) of triangles, not normalised."""
     a, b, c = (points[faces[:, k]] for k in range(3))
     return np.cross(b - a, c - a)
 
@@ -51,13 +53,15 @@ def _normals(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
 def _deepest_overlap(starts: np.ndarray, ends: np.ndarray) -> int:
     """Largest number of open intervals (start, end) that share a point."""
     starts, ends = np.sort(starts), np.sort(ends)
-    # At a shared corner the old one ends before the new one starts.
+    # At a shared corner, one interval ends before the next one starts.
     open_there = np.arange(1, len(starts) + 1) - np.searchsorted(ends, starts, side="right")
     return int(open_there.max(initial=0))
 
 
 def _deepest_overlap_by_bins(starts: np.ndarray, ends: np.ndarray) -> int:
-    """The same to a few per cent, never less, without a sort: how many intervals touch each of many bins."""
+    """As `_deepest_overlap`, a few per cent too many at most and never too few, without a sort: count the intervals in
+    bins.
+    """
     if len(starts) == 0:
         return 0
     low, high = starts.min(), ends.max()
@@ -69,9 +73,8 @@ def _deepest_overlap_by_bins(starts: np.ndarray, ends: np.ndarray) -> int:
 
 
 def most_front(vertices: Float[np.ndarray, "vertex 3"], faces: Int[np.ndarray, "face 3"], directions: int = 256) -> int:
-    """Triangles of a closed surface that look towards one point, at most, over sampled directions, and 10 % more.
-
-    Vertices (vertex, 3) [m]. The directions lie on a Fibonacci spiral, so any roll and pitch is among them.
+    """Most triangles of a closed surface that face a distant point, over sampled directions, plus 10 %.
+    Vertices (vertex, 3) [m]. The directions lie on a Fibonacci spiral over the sphere, which covers any roll and pitch.
     """
     normals = _normals(vertices.astype(np.float64), faces)
     directions = directions if len(faces) <= FINE else directions // 4
@@ -85,9 +88,8 @@ def most_front(vertices: Float[np.ndarray, "vertex 3"], faces: Int[np.ndarray, "
 
 
 def has_crossing_triangles(vertices: Float[np.ndarray, "vertex 3"], faces: Int[np.ndarray, "face 3"]) -> bool:
-    """True where an edge of the surface passes through the inside of one of its triangles (Möller and Trumbore, 1997).
-
-    Bodies that merely touch, as bricks in a pile do, are not taken to cross. Vertices (vertex, 3) are in metres.
+    """True if an edge of the surface passes through the inside of one of its triangles (Möller and Trumbore, 1997).
+    Bodies that merely touch, such as bricks in a pile, do not cross. Vertices (vertex, 3) are in metres.
     """
     points = vertices.astype(np.float64)
     edges = np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)

@@ -1,7 +1,7 @@
 """What a real device adds to a rendered frame: propagation, beams, speckle, multipath, gain and eight bits.
-
-`observe` makes a stored image (range, beam) of a `SonarFrame` and a `SensorModel`; the functions it is made of are
-public and stand alone. Each names its source, or says that it is a model of ours.
+`observe` turns a `SonarFrame` into the image (range, beam) that a device described by a `SensorModel` would store. The
+functions that it calls are public and can be used alone. Each names its source, or says that there is none and it is a
+model of ours.
 """
 
 from sonarjax.sensor.beams import (

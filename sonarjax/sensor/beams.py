@@ -1,6 +1,5 @@
-"""What beams hear besides their own azimuth: side lobes, crosstalk of firing groups, gains, streaks, other pings.
-
-Mixing matrices (beam, source) act on rows of an image of mean energy (range, beam); each of their rows sums to one.
+"""What a beam hears besides its own azimuth: side lobes, crosstalk of firing groups, gains, streaks, other pings.
+Mixing matrices (beam, source) act on the rows of an image (range, beam) of mean energy. Each of their rows sums to one.
 """
 
 from __future__ import annotations
@@ -14,25 +13,31 @@ from jaxtyping import Array, Float
 from sonarjax.sonar import Sonar
 
 MINUS_3_DB = 0.8859
-"""Width of sinc² at half its maximum, in units of its first zero."""
+"""Width of sinc² at half its maximum, as a multiple of its first zero."""
 
 
 def array_pattern(offset: Float[Array, "*batch"], beam_width: Any) -> Float[Array, "*batch"]:
-    """One-way power gain (...) of a line array at `offset` [rad] from the axis of a beam of −3 dB `beam_width` [rad].
+    """One-way power gain (...) of a line array.
+    sinc² of u = 0.886·sin(offset)/beam_width (`jnp.sinc` supplies the π), with first side lobes at −13.26 dB (Urick,
+    Principles of Underwater Sound, 1983, ch. 3).
 
-    sinc² of u = 0.886·sin(offset)/beam_width (`jnp.sinc` brings the π): first side lobes at −13.26 dB. Urick,
-    Principles of Underwater Sound (1983), ch. 3.
+    Args:
+        offset: Angle (...) [rad] from the axis of the beam.
+        beam_width: −3 dB width of the beam [rad].
     """
     return jnp.square(jnp.sinc(MINUS_3_DB * jnp.sin(offset) / beam_width))
 
 
 def beam_mixing(sonar: Sonar, widening: Any = 1.0, ways: Any = 2.0) -> Float[Array, "beam source"]:
-    """What share of beam `beam`'s energy comes from the azimuth of `source`: matrix (beam, source), rows sum to one.
+    """Matrix (beam, source): the share of a beam's energy that comes from the azimuth of each source. Rows sum to one.
+    Mean energies add over azimuth, weighted by both patterns, as in reverberation (Urick, Principles of Underwater
+    Sound, 1983, ch. 8). Normalised rows, and `ways` between 1 and 2, are choices of ours. Beam spacing may be uneven.
 
-    `widening` is the −3 dB width in units of the sonar's `beam_width`, or of the beam's own spacing where that is 0;
-    `ways` is 1 for a pattern on reception only, 2 on transmission too. Beam tables may be uneven. Mean energies add
-    over azimuth, weighted by both patterns, as in reverberation (Urick, Principles of Underwater Sound, 1983, ch. 8).
-    That rows sum to one, and `ways` between 1 and 2, are choices of ours.
+    Args:
+        sonar: Gives the beams.
+        widening: −3 dB width of a beam, as a multiple of the sonar's `beam_width`, or of the beam's own spacing where
+            that is 0.
+        ways: 1 for a pattern on reception only, 2 for one on transmission too.
     """
     spacing = jnp.diff(sonar.azimuth_edges)
     own = jnp.asarray(sonar.beam_width, jnp.float32)
@@ -43,11 +48,11 @@ def beam_mixing(sonar: Sonar, widening: Any = 1.0, ways: Any = 2.0) -> Float[Arr
 
 
 def crosstalk_mixing(n_beams: int, leak: Any, period: Any) -> Float[Array, "beam source"]:
-    """Leakage between beams of one firing group, whose numbers differ by multiples of `period`: rows sum to one.
-
-    The matrix (beam, source) gives the nearest such beams `leak` of the own beam's weight, and half as much with every
-    further period. No source: a model of ours for strong echoes that leak into beams fired at the same time. That a
-    DIDSON fires 8 sets of 12 beams, hence a comb of period 8, is an assumption, not checked on a device.
+    """Matrix (beam, source) of the leaks between beams of one firing group. Rows sum to one.
+    Beams are in one group if their numbers differ by a multiple of `period`. The nearest of them get the weight `leak`,
+    relative to the beam's own, and half as much for every further period. No source: a model of ours for strong echoes
+    that leak into beams fired at the same time. That a DIDSON fires 8 sets of 12 beams, hence a period of 8, is an
+    assumption, not checked on a device.
     """
     apart = jnp.abs(jnp.arange(n_beams)[:, None] - jnp.arange(n_beams)[None, :]).astype(jnp.float32)
     turns = jnp.round(apart / period)
@@ -62,28 +67,31 @@ def _rows_to_one(weights: Float[Array, "beam source"]) -> Float[Array, "beam sou
 def streaks(
     image: Float[Array, "range beam"], highlight: Float[Array, "range beam"], level: Any
 ) -> Float[Array, "range beam"]:
-    """Energy (range, beam) with specular rows smeared over all beams, as a glint does through far side lobes.
+    """Energy (range, beam) with specular rows smeared over all beams, as a glint does through distant side lobes.
+    A row gains `level` times its brightest object pixel, scaled by the ratio of that pixel to the brightest of the
+    frame, so that only the glint itself makes a visible line. No source: a model of ours for the rows that specular
+    faces light up in real ARIS frames.
 
-    A row gains `level` of its brightest object pixel (energy × `highlight`, (range, beam)), in proportion to how that
-    compares with the frame's brightest: only the glint itself makes a visible line. No source: a model of ours for
-    the rows that specular faces light in real ARIS frames.
+    Args:
+        image: Energy (range, beam).
+        highlight: Share of the object in each pixel (range, beam).
+        level: Share of a glint's energy that its row gains [1].
     """
     peak = jnp.max(image * highlight, axis=1, keepdims=True)
     return image + level * peak * (peak / jnp.maximum(jnp.max(peak), 1e-30))
 
 
 def beam_gains(n_beams: int, std_db: Any, *, key: jax.Array) -> Float[Array, "beam"]:
-    """Gain (beam,) of each beam's energy: normal in dB with a standard deviation of `std_db` [dB] around 0 dB.
-
-    No source: a model of ours for what is left of the differences between a device's channels.
+    """Gain (beam,) of each beam's energy: normal in dB around 0 dB, with standard deviation `std_db` [dB].
+    No source: a model of ours for the differences that remain between a device's channels.
     """
     return 10 ** (jnp.asarray(std_db, jnp.float32) * jax.random.normal(key, (n_beams,)) / 10)
 
 
 def group_gains(n_beams: int, period: Any, std_db: Any, *, key: jax.Array) -> Float[Array, "beam"]:
-    """Gain (beam,) of each beam's energy by its firing group: every `period`-th beam shares one, `std_db` [dB] apart.
-
-    No source: a model of ours for the comb of bright and dark beams in frames of devices that fire in groups.
+    """Gain (beam,) of each beam's energy, the same for every `period`-th beam; standard deviation of the groups
+    `std_db` [dB].
+    No source: a model of ours for the comb of bright and dark beams from devices that fire in groups.
     """
     group = jnp.arange(n_beams) % jnp.maximum(jnp.asarray(period), 1.0).astype(jnp.int32)
     each = jax.random.normal(key, (n_beams,))
@@ -91,16 +99,17 @@ def group_gains(n_beams: int, period: Any, std_db: Any, *, key: jax.Array) -> Fl
 
 
 def dim_beams(n_beams: int, share: Any, loss_db: Any, *, key: jax.Array) -> Float[Array, "beam"]:
-    """Gain (beam,) of beams of which a `share` [1] hears `loss_db` [dB] less. No source: a model of ours."""
+    """Gain (beam,) of each beam's energy, where a random `share` [1] of the beams hears `loss_db` [dB] less.
+    No source: a model of ours.
+    """
     dim = jax.random.uniform(key, (n_beams,)) < jnp.asarray(share, jnp.float32)
     return jnp.where(dim, 10 ** (-jnp.asarray(loss_db, jnp.float32) / 10), 1.0)
 
 
 def other_pings(shape: tuple[int, int], level: Any, *, key: jax.Array) -> Float[Array, "range beam"]:
     """Energy (range, beam) of another sonar's pings, heard at two ranges by a few neighbouring beams or by all of them.
-
-    `level` is in units of the floor's energy on the beam axis. No source: a model of ours for short bright bars that
-    are no echo.
+    `level` is relative to the floor's energy on the beam axis. No source: a model of ours for short bright bars that
+    are not echoes.
     """
     rows, beams = shape
     place = jax.random.uniform(key, (4, 2))

@@ -1,6 +1,5 @@
 """How bright the bottom is from place to place: ripples, and slow changes over the frame.
-
-Factors (range, beam) of the floor's energy with a mean near 1.
+All functions give factors (range, beam) for the energy of the floor, with a mean near 1.
 """
 
 from __future__ import annotations
@@ -14,17 +13,22 @@ from jaxtyping import Array, Float
 from sonarjax.sonar import Sonar
 
 WIDE_PATCHES = (3, 3)
-"""Independent values that slow changes are interpolated from, along range and beams."""
+"""Number of independent values, along range and beams, between which slow changes are interpolated."""
 
 
 def ripple_brightness(
     sonar: Sonar, ranges: Float[Array, "range"], depth: Any, wavelength: Any, direction: Any
 ) -> Float[Array, "range beam"]:
-    """Brightness (range, beam) of a rippled floor: 1 + depth·sin(phase), for slant `ranges` (range,) [m].
+    """Brightness (range, beam) of a rippled floor: 1 + depth·sin(phase).
+    Slopes that face the sonar are brighter. To first order, a small slope changes Lambert's law in proportion (Urick,
+    Principles of Underwater Sound, 1983, ch. 8). A single wave is a model of ours.
 
-    Slopes that look at the sonar are brighter by `depth` [1], below 1; crests are `wavelength` [m] apart and run square
-    to `direction` [rad] on the floor. To first order a small slope changes Lambert's law in proportion (Urick,
-    Principles of Underwater Sound, 1983, ch. 8); a single wave is a model of ours.
+    Args:
+        sonar: Gives the height and the beams.
+        ranges: Slant ranges (range,) [m].
+        depth: How much brighter the brightest slopes are [1], below 1.
+        wavelength: Distance between crests [m].
+        direction: Direction on the floor [rad] at right angles to the crests.
     """
     ground = jnp.sqrt(jnp.maximum(ranges**2 - jnp.asarray(sonar.height, jnp.float32) ** 2, 0.0))
     along = jnp.cos(jnp.asarray(sonar.azimuth, jnp.float32) - jnp.asarray(direction, jnp.float32))
@@ -33,8 +37,7 @@ def ripple_brightness(
 
 
 def slow_brightness(shape: tuple[int, int], std_db: Any, *, key: jax.Array) -> Float[Array, "range beam"]:
-    """Brightness (range, beam) that changes slowly over the frame, normal in dB with `std_db` [dB].
-
+    """Brightness (range, beam) that changes slowly over the frame: normal in dB, with standard deviation `std_db` [dB].
     No source: a model of ours for uneven insonification and a bottom of several kinds.
     """
     coarse = jax.random.normal(key, WIDE_PATCHES)

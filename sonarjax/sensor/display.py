@@ -1,4 +1,4 @@
-"""From energy to what a device stores: gain, logarithm or root, eight bits."""
+"""The display law: from energy to what a device stores, by gain, a logarithm or a root, and eight bits."""
 
 from __future__ import annotations
 
@@ -15,14 +15,20 @@ def compress(
     energy: Float[Array, "*batch"], gain: Any, log_share: Any, dynamic_range: Any, exponent: Any,
     saturation: Any = 0.0, black: Any = 0.0,
 ) -> Float[Array, "*batch"]:  # fmt: skip
-    """Grey value (...) in [0, 1] of `energy` (...), whose 1 lies `gain` [dB] below white.
+    """Grey value (...) in [0, 1] of each `energy` (...).
+    Blends two curves that meet at white: a logarithm, and a power law. ARIS files store the logarithm over 80 dB (see
+    `io.aris`). The power law with exponent 0.25 is about what an Oculus stores, as measured on real pings. No source
+    for the blend: a model of ours that covers the devices in between.
 
-    A blend of two curves that meet at white: the logarithm over `dynamic_range` [dB] with the weight `log_share`, and
-    energy^`exponent` (0.5: amplitude; 0.25: its square root, about what an Oculus stores). The logarithm is how
-    ARIS files store it, over 80 dB (see `io.aris`); the square root was measured on real Oculus pings. No source for
-    the blend: a model of ours, which makes one family of such devices. `saturation` s bends the power law towards
-    white, arctan(s·g)/arctan(s), as viewers do that must show a glint beside a floor; 0 is none. What lies below
-    `black` of the whole scale is shown as 0.
+    Args:
+        energy: Energy (...) relative to the floor on the beam axis.
+        gain: How far [dB] an energy of 1 lies below white.
+        log_share: Weight of the logarithm [1]; the power law has the rest.
+        dynamic_range: Range [dB] of the logarithm from black to white.
+        exponent: Power of energy [1]: 0.5 is amplitude, 0.25 its square root.
+        saturation: Bends the power law g towards white, to arctan(s·g)/arctan(s), as viewers do that must show a glint
+            beside a floor. 0 bends nothing.
+        black: Share of the grey scale that is shown as 0.
     """
     nepers = jnp.log(jnp.maximum(energy, TINY)) - jnp.asarray(gain, jnp.float32) * (jnp.log(10.0) / 10)
     logarithm = 1 + nepers * (10 / jnp.log(10.0)) / dynamic_range
@@ -36,9 +42,8 @@ def compress(
 
 @jax.custom_jvp
 def quantise(image: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
-    """`image` (...) in [0, 1] as the nearest of the 256 values n/255; its derivative is taken to be 1.
-
-    Eight bits are what ARIS, DIDSON and Oculus files store (see `io`). No source for the derivative: a choice of ours.
+    """Round `image` (...) in [0, 1] to the nearest of the 256 values n/255. The derivative is defined as 1.
+    ARIS, DIDSON and Oculus files store eight bits (see `io`). No source for the derivative: a choice of ours.
     """
     return jnp.round(255 * image) / 255
 

@@ -1,4 +1,4 @@
-"""The `SensorModel` pytree: what a device and its water add to a rendered frame, as floats only."""
+"""The `SensorModel` pytree: what a device and its water add to a rendered frame, described by floats only."""
 
 from __future__ import annotations
 
@@ -15,48 +15,48 @@ Scalar = Any
 
 @record
 class SensorModel:
-    """How a device turns energy into an image; every field is a float, or an array of one batch shape for `jax.vmap`.
-
-    Choices are floats too, so one compiled `observe` serves a family of devices. Energies are relative to the floor's
-    on the beam axis. The defaults are `nominal()`: a DIDSON in the paper's tank.
+    """How a device turns energy into an image. Every field is a float, or an array of one batch shape for `jax.vmap`.
+    Choices are floats too, so that one compiled `observe` serves a family of devices. Energies are relative to the
+    floor's energy on the beam axis. The defaults are `nominal()`: a DIDSON in the paper's tank.
     """
 
-    # Of the defaults, object_gain, noise, speckle, looks, texture and floor_bounce are the outcome of
-    # experiments/calibrate_sensor.py: mean correlation of frames of §4.1 with their own template 0.572 ± 0.03.
+    # experiments/calibrate_sensor.py chose the defaults of object_gain, noise, speckle, looks, texture and
+    # floor_bounce: frames of §4.1 then correlate with their own template by 0.572 ± 0.03 on average.
     object_gain: Scalar = 8.0
-    """Backscatter of objects relative to the floor's [dB]; the renderer gives both the same."""
+    """Backscatter of objects relative to the floor's [dB]; the renderer itself gives both the same."""
     floor_lambert: Scalar = 0.0
-    """Exponent of cos(incidence) in the floor's echo [1], beyond the renderer's own; 1 or 2 for Lambert's law."""
+    """Exponent of cos(incidence) in the floor's echo [1], on top of the renderer's own; 1 or 2 for Lambert's law."""
     temperature: Scalar = 15.0
     """Temperature of the fresh water, which sets the absorption [deg C]."""
     tvg_absorption: Scalar = 0.9
-    """Share of the absorption that the time-varied gain makes up for [1]."""
+    """Share of the absorption for which the time-varied gain compensates [1]."""
     tvg_exponent: Scalar = 3.7
-    """n of the time-varied gain rⁿ of energy [1]: 4 is 40 log r, which levels a flat floor; 3 is 30 log r."""
+    """n of the time-varied gain rⁿ of energy [1]: 4 is 40 log r, which makes a flat floor even; 3 is 30 log r."""
     beam_widening: Scalar = 1.0
-    """−3 dB width of a beam, in units of the sonar's own (its spacing where it gives none) [1]."""
+    """−3 dB width of a beam [1], as a multiple of the sonar's `beam_width`, or of the beam spacing where that is 0."""
     beam_ways: Scalar = 2.0
-    """1 where only the receiver forms beams, 2 where the transmitter does too [1]: side lobes at −13 or −27 dB."""
+    """1 if only the receiver forms beams, 2 if the transmitter does too [1]: side lobes at −13 or −27 dB."""
     elevation_skirt: Scalar = 12.0
     """How steeply the vertical pattern falls outside the aperture [dB per degree]."""
     pulse_bins: Scalar = 2.5
     """Pulse length [range bins], 1 to 9."""
     crosstalk: Scalar = 0.02
-    """Leak between nearest beams of one firing group, as a share of the beam's own energy [1]."""
+    """Leak between neighbouring beams of one firing group, as a share of the beam's own energy [1]."""
     crosstalk_period: Scalar = 8.0
-    """Step of beam numbers within one firing group [beams]."""
+    """Step in beam number within one firing group [beams]."""
     streak: Scalar = 0.004
-    """Share of a glint's energy that lights its whole range row [1]."""
+    """Share of a glint's energy that is added to its entire range row [1]."""
     beam_gain_std: Scalar = 0.4
-    """Standard deviation of the beams' gains [dB]."""
+    """Standard deviation of the gains of the beams [dB]."""
     noise: Scalar = 0.05
-    """Receiver noise after the gain, at the range of the beam axis on the floor [energy of the floor there]."""
+    """Receiver noise after the gain, at the range where the beam axis meets the floor [energy of the floor there]."""
     speckle: Scalar = 1.0
-    """Speckle of one look [1]: up to 1, fully developed, the intensity's standard deviation over its mean.
-
-    Above 1 the dB values spread by that factor: Weibull's law, heavier-tailed than Rayleigh's."""
+    """Speckle contrast of one look [1]: standard deviation of intensity over its mean, up to 1 for fully developed
+    speckle.
+    Above 1 the values in dB spread by that factor: Weibull's law, with heavier tails than Rayleigh's.
+    """
     looks: Scalar = 1.0
-    """Number of independent looks averaged [1], 1 to 4."""
+    """Number of independent looks that are averaged [1], 1 to 4."""
     texture: Scalar = 0.15
     """Variance of the bottom's mean energy from patch to patch [1]: 1/shape of the K-distribution."""
     speckle_beams: Scalar = 0.8
@@ -64,63 +64,66 @@ class SensorModel:
     speckle_bins: Scalar = 0.25
     """Correlation of speckle intensity between neighbouring range bins [1], 0 to 0.5."""
     floor_bounce: Scalar = 0.3
-    """Energy that a bounce on the floor leaves [1]."""
+    """Share of the energy that is left after a bounce on the floor [1]."""
     floor_path: Scalar = 1.0
-    """1 where the echo bounces on both ways, 0.5 on one of them [1]."""
+    """1 if the sound bounces on the floor both ways, 0.5 if on one way only [1]."""
     surface_bounce: Scalar = 0.005
-    """Energy left by a bounce on the water's surface, with the vertical pattern's loss at that angle [1]."""
+    """Share of the energy left after a bounce on the water surface [1], loss of the vertical pattern at that angle
+    included.
+    """
     surface_path: Scalar = 0.5
     """As `floor_path`, for the surface [1]."""
     water_depth: Scalar = 1.7
-    """Height of the water's surface above the floor [m]."""
+    """Height of the water surface above the floor [m]."""
     gain: Scalar = 20.0
-    """How far the floor on the beam axis lies below white [dB]."""
+    """How far below white the floor on the beam axis lies [dB]."""
     automatic_gain: Scalar = 0.2
-    """0: gain fixed by the floor; 1: by the frame's mean energy, so that a glint darkens the rest [1]."""
+    """0: the floor fixes the gain. 1: the frame's mean energy does, so that a glint darkens the rest [1]."""
     log_share: Scalar = 0.5
-    """Weight of the logarithm against the power law in the stored value [1]."""
+    """Weight of the logarithm in the stored value [1]; the power law has the rest."""
     dynamic_range: Scalar = 40.0
     """Range of the logarithm from black to white [dB]."""
     exponent: Scalar = 0.25
-    """Power of energy that is stored [1]: 0.5 is amplitude, 0.25 its square root."""
+    """Power of energy in the power law [1]: 0.5 is amplitude, 0.25 its square root."""
 
-    # What some devices and places have beside that; the nominal one has none of it.
+    # Effects of some devices and places only. The nominal device has none of them.
     saturation: Scalar = 0.0
     """How far the power law bends towards white, as an arctangent of this steepness [1]."""
     black: Scalar = 0.0
-    """Share of the whole scale that is shown as black [1]."""
+    """Share of the grey scale that is shown as black [1]."""
     reverberation: Scalar = 0.0
-    """Share of each bin's energy that arrives late, by way of floor, walls and object [1]."""
+    """Share of each bin's energy that arrives again later, by way of floor, walls and object [1]."""
     reverberation_length: Scalar = 0.2
-    """Decay length of what arrives late [m]."""
+    """Decay length of that late energy [m]."""
     group_gain_std: Scalar = 0.0
     """Standard deviation of the gains of the firing groups [dB]."""
     dim_share: Scalar = 0.0
-    """Share of the beams that hear less [1]."""
+    """Share of the beams that are dim [1]."""
     dim_loss: Scalar = 10.0
-    """How much less those hear [dB]."""
+    """How much less a dim beam hears [dB]."""
     unevenness: Scalar = 0.0
     """Standard deviation of slow changes of brightness over the frame [dB]."""
     ripple: Scalar = 0.0
-    """How much brighter the slopes of a rippled floor are that look at the sonar [1], below 1."""
+    """How much brighter the slopes of a rippled floor are that face the sonar [1], below 1."""
     ripple_wavelength: Scalar = 0.1
-    """Distance between the ripples' crests [m]."""
+    """Distance between the crests of ripples [m]."""
     ripple_direction: Scalar = 0.0
-    """Direction on the floor that they run square to [rad]."""
+    """Direction on the floor at right angles to the crests [rad]."""
     other_pings: Scalar = 0.0
     """Strength of another sonar's pings [energy of the floor on the beam axis]."""
 
     @classmethod
     def nominal(cls, severity: Scalar = 1.0) -> SensorModel:
-        """A DIDSON in a tank; `severity` 0 is free of noise, 1 as hard as the paper's frames, 2 twice that.
-
-        The constants are those of `experiments/calibrate_sensor.py`, which fits them to the paper's correlations only.
+        """A DIDSON in a tank; `severity` 0 has no noise, 1 is as hard as the paper's frames, 2 has twice the noise.
+        `experiments/calibrate_sensor.py` fitted the constants, to the paper's correlations only.
         """
         return cls().scaled(severity)
 
     @classmethod
     def draw(cls, *, key: jax.Array, severity: Scalar = 1.0) -> SensorModel:
-        """A device of the family DIDSON, ARIS, Oculus and beyond: each field drawn from `RANGES`, noise scaled."""
+        """Draw a device of the family around DIDSON, ARIS and Oculus: each field from `RANGES`, noise scaled by
+        `severity`.
+        """
         *keys, which = jax.random.split(key, len(RANGES) + 1)
         drawn = {name: _drawn(*RANGES[name], key=part) for name, part in zip(RANGES, keys, strict=True)}
         heard = jax.random.uniform(which, (2,)) < jnp.array([FLOOR_HEARD, SURFACE_HEARD])
@@ -132,10 +135,9 @@ class SensorModel:
 
     @classmethod
     def draw_wide(cls, *, key: jax.Array, severity: Scalar = 1.0) -> SensorModel:
-        """A device and a place that may be odd in any way: what the network trains on.
-
-        As `draw`, with the fields of `WIDE` drawn from wider ranges; each field of `SELDOM` is there in its share of
-        the draws only.
+        """Draw a device and a place from wider ranges, with rarer effects: the network trains on these.
+        As `draw`, with the fields of `WIDE` drawn from there. Each field of `SELDOM` is present in its share of the
+        draws only.
         """
         own, keys, which = (jax.random.fold_in(key, n) for n in range(3))
         device = cls.draw(key=own)
@@ -147,7 +149,7 @@ class SensorModel:
         return replace(device, **wider).scaled(severity)
 
     def scaled(self, severity: Scalar) -> SensorModel:
-        """The same device with its noise and artefacts (`SCALED`) times `severity`."""
+        """The same device with its noise and artefacts (the fields in `SCALED`) multiplied by `severity`."""
         scaled = {name: severity * getattr(self, name) for name in SCALED}
         for name in ("floor_bounce", "surface_bounce"):  # a mirror adds no energy
             scaled[name] = jnp.minimum(scaled[name], 1.0)
@@ -155,17 +157,17 @@ class SensorModel:
 
 
 def _drawn(low: float, high: float, kind: str, *, key: jax.Array) -> jax.Array:
-    """A number from `low` to `high`, even in itself or in its logarithm."""
+    """Draw a number from `low` to `high`, uniform in the number itself or, for "log", in its logarithm."""
     share = jax.random.uniform(key)
     return low * (high / low) ** share if kind == "log" else low + (high - low) * share
 
 
 SCALED = ("crosstalk", "streak", "beam_gain_std", "noise", "speckle", "texture", "floor_bounce", "surface_bounce",
           "reverberation", "group_gain_std", "unevenness")  # fmt: skip
-"""Fields that grow with severity."""
+"""Fields that `severity` multiplies."""
 
 FLOOR_HEARD, SURFACE_HEARD = 0.55, 0.2
-"""Share of the drawn devices with a mirror in the floor, and in the water's surface."""
+"""Shares of the drawn devices that hear multipath by way of the floor, and of the water surface."""
 
 RANGES: dict[str, tuple[float, float, str]] = {
     "object_gain": (2.0, 12.0, "even"),
@@ -198,7 +200,9 @@ RANGES: dict[str, tuple[float, float, str]] = {
     "dynamic_range": (30.0, 80.0, "even"),
     "exponent": (0.2, 0.5, "even"),
 }
-"""Least and largest value of each field that `draw` gives at severity 1, and whether it is even in it or its log."""
+"""Least and largest value of each field that `draw` gives at severity 1, and the kind: "even" in the field or in its
+"log".
+"""
 
 WIDE: dict[str, tuple[float, float, str]] = {
     "object_gain": (0.0, 14.0, "even"),
@@ -208,7 +212,7 @@ WIDE: dict[str, tuple[float, float, str]] = {
     "noise": (0.003, 0.2, "log"),
     "looks": (1.0, 3.0, "even"),
     "gain": (8.0, 29.0, "even"),
-    "log_share": (-0.5, 1.5, "even"),  # clipped to 0 and 1: half of the devices store one law alone
+    "log_share": (-0.5, 1.5, "even"),  # clipped to [0, 1]: half of the devices have only one of the two laws
     "dynamic_range": (25.0, 90.0, "even"),
     "exponent": (0.15, 0.7, "even"),
     "saturation": (0.0, 6.0, "even"),
@@ -224,10 +228,10 @@ WIDE: dict[str, tuple[float, float, str]] = {
     "ripple_direction": (-1.6, 1.6, "even"),
     "other_pings": (0.3, 20.0, "log"),
 }
-"""Ranges, as those of `RANGES`, that `draw_wide` takes instead or besides, at severity 1."""
+"""Ranges as in `RANGES` that `draw_wide` uses in place of those there, or in addition, at severity 1."""
 
 SELDOM: dict[str, float] = {
     "saturation": 0.3, "black": 0.15, "reverberation": 0.6, "group_gain_std": 0.3, "dim_share": 0.2, "unevenness": 0.6,
     "ripple": 0.15, "other_pings": 0.1,
 }  # fmt: skip
-"""Share of the devices of `draw_wide` that have a field at all; the others have the nominal value."""
+"""Share of the draws of `draw_wide` in which a field is present; elsewhere it has the nominal value."""

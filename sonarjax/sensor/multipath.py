@@ -1,7 +1,4 @@
-"""Multipath: the object mirrored in the floor or the water's surface, rendered by the same renderer.
-
-Takes a mesh and its pose and returns the mirrored mesh, or the energy (range, beam) that arrives by way of the mirrors.
-"""
+"""Multipath: the object mirrored in the floor or the water surface, rendered by the same renderer."""
 
 from __future__ import annotations
 
@@ -21,14 +18,22 @@ from sonarjax.sonar import Sonar
 
 BOUNCE_QUALITY = RenderQuality(sub_beams=1, elevations=32)
 WIDE_APERTURE = 2.4
-"""Vertical aperture that the echoes of mirrors are rendered with [rad]: they reach the head from steep angles."""
+"""Vertical aperture for rendering mirrored objects [rad]: their echoes reach the sonar head from steep angles."""
 
 
 def bounce_points(points: Float[Array, "point 3"], sonar: Sonar, plane: Any, path: Any) -> Float[Array, "point 3"]:
-    """Where points (point, 3) [m] of the ground frame seem to be by way of a mirror in the plane z = `plane` [m].
+    """Where points appear to be when heard by way of a mirror in the plane z = `plane`.
+    The direction is that of the mirror image. The range is (1 − path)·direct + path·image (the image method: Urick,
+    Principles of Underwater Sound, 1983, ch. 5).
 
-    The direction is that of the mirror image; the range is (1 − path)·direct + path·image: `path` 1 for a bounce on
-    both ways, 1/2 for one on either way (Urick, Principles of Underwater Sound, 1983, ch. 5: the image method).
+    Args:
+        points: Points (point, 3) [m] in the ground frame.
+        sonar: Gives the height of the sonar head.
+        plane: Height of the mirror [m].
+        path: 1 for a bounce on both ways, 1/2 for a bounce on one way.
+
+    Returns:
+        Apparent points (point, 3) [m] in the ground frame.
     """
     head = jnp.stack([jnp.zeros(()), jnp.zeros(()), jnp.asarray(sonar.height, jnp.float32)])
     direct = jnp.sqrt(jnp.square(points - head).sum(-1, keepdims=True))
@@ -38,9 +43,8 @@ def bounce_points(points: Float[Array, "point 3"], sonar: Sonar, plane: Any, pat
 
 
 def bounce_mesh(mesh: Mesh, pose: Pose, sonar: Sonar, plane: Any, path: Any) -> Mesh:
-    """The mesh at `pose`, mirrored in z = `plane` [m] as `bounce_points` has it, in the ground frame.
-
-    Faces keep looking outwards. Those that lie on the mirror are dropped: no sound comes between. The image method
+    """Mirror the mesh at `pose` in z = `plane` [m] as `bounce_points` does; the result is in the ground frame.
+    Faces still look outwards. Faces that lie on the mirror are dropped, because no sound gets between. The image method
     (Urick, 1983, ch. 5).
     """
     ground = pose.to_ground(mesh.vertices)
@@ -57,11 +61,14 @@ def render_bounces(
     *,
     quality: RenderQuality = BOUNCE_QUALITY,
 ) -> SonarFrame:
-    """Echoes (range, beam) that come by way of floor and surface, weakened by the model's bounce coefficients.
+    """Render the echoes (range, beam) that arrive by way of floor and water surface, times the model's bounce
+    coefficients.
+    The frame's highlight says where they are. It has no shadow and no floor. An object that stands on the mirror hides
+    the face between; otherwise what the object hides of its own mirror image is ignored. The image method (Urick, 1983,
+    ch. 5) with one bounce each; one loss for all angles is a simplification of ours.
 
-    Its highlight says where they are; it has no shadow and no floor. What the object itself hides of its mirror image
-    is left out only where it stands on the mirror. Raises SonarjaxError as `render` does. The image method (Urick,
-    1983, ch. 5) with one bounce each; one loss for all angles is a simplification of ours.
+    Raises:
+        SonarjaxError: As `render`.
     """
     if not isinstance(mesh, Mesh):
         mesh, pose = place_together(mesh, pose)
@@ -80,13 +87,15 @@ def render_bounces(
     floor = 0.0, model.floor_path, model.floor_bounce
     surface = model.water_depth, model.surface_path, model.surface_bounce
     mirrors = tuple(jnp.stack([jnp.asarray(v, jnp.float32) for v in pair]) for pair in zip(floor, surface, strict=True))
-    # One after the other, so that the renderer is compiled once, and not at all where nothing comes back.
+    # One mirror after the other, so that the renderer is compiled once and is skipped where nothing comes back.
     energy, share, lit, overflow = jax.lax.map(lambda m: jax.lax.cond(m[2] > 0, echo, silence, m), mirrors)
     return SonarFrame(energy.sum(0), share.max(0), jnp.zeros(sonar.shape), lit.any(0), overflow.max(), sonar)
 
 
 def without_floor(mesh: Mesh, sonar: Sonar) -> tuple[Mesh, Pose, Sonar]:
-    """What to render of a mesh of the ground frame: sonar and mesh are lifted until the floor is beyond the window."""
+    """Move a mesh of the ground frame and its sonar up together until the floor lies beyond the window; return what to
+    render.
+    """
     lift = 2.0 * jnp.asarray(sonar.range_max, jnp.float32)
     lifted = sonar.replace(height=sonar.height + lift, elevation_aperture=WIDE_APERTURE, floor=None)
     return mesh, Pose(z=lift), lifted

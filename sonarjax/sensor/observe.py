@@ -1,4 +1,4 @@
-"""`observe`: a rendered frame as a device would store it; `observe_scene` renders the frame and its multipath first."""
+"""`observe` turns a rendered frame into what a device would store; `observe_scene` also renders frame and multipath."""
 
 from __future__ import annotations
 
@@ -61,13 +61,17 @@ def observe(
     key: jax.Array,
     bounces: SonarFrame | None = None,
 ) -> Float[Array, "range beam"]:
-    """The grey image (range, beam) in [0, 1], of 256 values, that a device makes of a `frame`.
+    """Turn a rendered frame into the grey image (range, beam) that a device stores: 256 values in [0, 1].
+    If the frame was rendered with the sonar's own aperture, the vertical pattern ends sharply there. `observe_scene`
+    renders beyond it, so that the image fades. Works under `jit` and `vmap` over keys, models, frames and sonars.
+    Differentiable, except that the derivative of the quantisation is defined as 1. No source for the order of effects:
+    each has its own. The automatic gain, energy divided by a power of its mean, is a model of ours.
 
-    Where the frame was rendered with the sonar's own aperture, the vertical pattern ends sharply there; `observe_scene`
-    renders beyond it. `bounces` are the
-    echoes of `render_bounces`. Works under jit and vmap over keys, models, frames and sonars; differentiable but for
-    the quantisation, whose derivative is taken to be 1. No source for the whole: each effect has its own, and the
-    automatic gain, energy over a power of its mean, is a model of ours.
+    Args:
+        frame: The rendered frame.
+        model: The device and its water.
+        key: Source of all random numbers.
+        bounces: Multipath echoes from `render_bounces`; None for none.
     """
     sonar = frame.sonar
     gains_key, texture_key, speckle_key = jax.random.split(key, 3)
@@ -83,7 +87,7 @@ def observe(
 
 
 def _with_oddities(energy: Array, sonar: Sonar, model: SensorModel, *, key: jax.Array) -> Array:
-    """What the nominal device has none of: groups of beams, dim beams, slow changes, another sonar's pings."""
+    """Add effects that the nominal device lacks: group gains, dim beams, slow changes, another sonar's pings."""
     groups, dim, slow, pings = jax.random.split(key, 4)
     gains = group_gains(sonar.n_beams, model.crosstalk_period, model.group_gain_std, key=groups)
     gains = gains * dim_beams(sonar.n_beams, model.dim_share, model.dim_loss, key=dim)
@@ -95,11 +99,10 @@ def received_energy(
     frame: SonarFrame, model: SensorModel, bounces: SonarFrame | None = None
 ) -> Float[Array, "range beam"]:
     """Mean energy (range, beam) after propagation, beams, pulse and gain, relative to the floor on the beam axis.
-
-    Nothing in it is random: it is what speckle multiplies. The vertical pattern is that at the floor's elevation in
-    each pixel, for objects too; bounces come from other angles and go without. The terms are those of the sonar
-    equation (Urick, Principles of Underwater Sound, 1983, ch. 2), on top of eq. 2; one backscatter for all objects, and
-    a free power of cos(incidence) for the floor, after Lambert's law (Urick, ch. 8), are models of ours.
+    Nothing in it is random: `observe` multiplies it by speckle. The vertical pattern is taken at the floor's elevation
+    in each pixel, for objects too; bounces come from other angles and are left without it. The terms are those of the
+    sonar equation (Urick, Principles of Underwater Sound, 1983, ch. 2), on top of eq. 2. Models of ours: one
+    backscatter for all objects, and a free power of cos(incidence) for the floor, after Lambert's law (Urick, ch. 8).
     """
     sonar = frame.sonar
     ranges = range_middles(sonar)
@@ -125,9 +128,8 @@ def received_energy(
 
 
 def speckle(sonar: Sonar, model: SensorModel, *, key: jax.Array) -> Float[Array, "range beam"]:
-    """Speckle intensity (range, beam) of mean 1 with the model's contrast, looks and correlation.
-
-    No source for the order of the steps: each of them, `complex_field` to `multi_look`, has its own.
+    """Draw speckle intensity (range, beam) of mean 1 with the model's contrast, looks and correlation.
+    No source for the order of the steps: each of them, from `complex_field` to `multi_look`, has its own.
     """
     contrast = jnp.clip(jnp.asarray(model.speckle, jnp.float32), 0.0, 1.0)
     diffuse = 1 - jnp.sqrt(jnp.maximum(1 - contrast**2, 1e-12))
@@ -146,10 +148,14 @@ def observe_scene(
     key: jax.Array,
     quality: RenderQuality = RenderQuality(),
 ) -> tuple[Float[Array, "range beam"], SonarFrame]:
-    """The observed image (range, beam) of objects on the floor with their multipath, and the clean frame behind it.
+    """Render objects on the floor with their multipath, and observe them (eq. 1–2, `render_bounces`, `observe`).
+    Arguments as in `render` and `observe`.
 
-    Raises SonarjaxError as `render` does. `render` (eq. 1 and eq. 2),
-    `render_bounces` and `observe` in a row.
+    Returns:
+        The observed image (range, beam), and the clean frame behind it.
+
+    Raises:
+        SonarjaxError: As `render`.
     """
     if not isinstance(mesh, Mesh):
         mesh, pose = place_together(mesh, pose)
@@ -159,14 +165,14 @@ def observe_scene(
 
 
 class _Observed(NamedTuple):
-    """What `observe_scene` returns, and the overflow of all that was rendered for it."""
+    """What `observe_scene` returns, and the overflow of everything rendered for it."""
 
     image: Array
     """Grey image (range, beam)."""
     frame: SonarFrame
     """The clean frame behind it."""
     overflow: Array
-    """As in `SonarFrame`, the largest of all renders."""
+    """As in `SonarFrame`; the largest of all renders."""
 
 
 @partial(jax.jit, static_argnames="quality")
@@ -176,7 +182,7 @@ def _observe_scene(
     def reaching(aperture: Array) -> SonarFrame:
         return render(mesh, pose, sonar.replace(elevation_aperture=aperture), quality=quality)
 
-    # One after the other, so that the renderer is compiled once.
+    # One aperture after the other, so that the renderer is compiled once.
     apertures = [s.elevation_aperture for s in (sonar, with_skirts(sonar))]
     both = jax.lax.map(reaching, jnp.stack([jnp.asarray(a, jnp.float32) for a in apertures]))
     frame, seen = (replace(jax.tree.map(lambda v, k=k: v[k], both), sonar=sonar) for k in (0, 1))

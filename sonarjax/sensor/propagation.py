@@ -1,6 +1,5 @@
 """What range does to an echo: absorption, the device's time-varied gain, the elevation pattern, the pulse, the noise.
-
-All take slant ranges [m] or an image (range, beam) of mean energy and return factors or an image of the same shape.
+All functions take slant ranges [m] or an image (range, beam) of mean energy, and return factors or an image.
 """
 
 from __future__ import annotations
@@ -15,9 +14,9 @@ from sonarjax.render import floor_angle
 from sonarjax.sonar import Sonar
 
 MAX_PULSE_BINS = 9
-"""Longest pulse that `pulse_blur` spreads an echo over [range bins]."""
+"""Longest pulse over which `pulse_blur` spreads an echo [range bins]."""
 SKIRT = math.radians(3.0)
-"""How far beyond the aperture an echo counts [rad]: at 12 dB per degree it is 36 dB down there."""
+"""How far beyond the aperture an echo still counts [rad]: at 12 dB per degree it is 36 dB down there."""
 
 ARCSIN = (
     1.5707963050, -0.2145988016, 0.0889789874, -0.0501743046, 0.0308918810, -0.0170881256, 0.0066700901, -0.0012624911,
@@ -25,8 +24,7 @@ ARCSIN = (
 
 
 def fresh_absorption(frequency: Any, temperature: Any) -> Float[Array, "*batch"]:
-    """Absorption [dB/m], one way, in fresh water at `frequency` [Hz] and `temperature` [deg C], at most 20 °C.
-
+    """One-way absorption [dB/m] in fresh water at `frequency` [Hz] and `temperature` [deg C], at most 20 °C.
     The viscous term A₃f² of Francois and Garrison (J. Acoust. Soc. Am. 72, 1982, part II), the only one without salts.
     """
     t = jnp.asarray(temperature, jnp.float32)
@@ -35,8 +33,7 @@ def fresh_absorption(frequency: Any, temperature: Any) -> Float[Array, "*batch"]
 
 
 def absorption_loss(ranges: Float[Array, "*batch"], absorption: Any) -> Float[Array, "*batch"]:
-    """Share of the energy that two-way `absorption` [dB/m] leaves of an echo at `ranges` (...) [m].
-
+    """Share of the energy left after two-way `absorption` [dB/m] of an echo at `ranges` (...) [m].
     Urick, Principles of Underwater Sound (1983), ch. 5.
     """
     return 10 ** (-0.2 * jnp.asarray(absorption, jnp.float32) * ranges)
@@ -45,38 +42,43 @@ def absorption_loss(ranges: Float[Array, "*batch"], absorption: Any) -> Float[Ar
 def time_varied_gain(
     ranges: Float[Array, "*batch"], reference: Any, exponent: Any, absorption: Any
 ) -> Float[Array, "*batch"]:
-    """Gain of an echo's energy at `ranges` (...) [m]: (r/reference)^exponent and the two-way `absorption` [dB/m].
+    """Gain of an echo's energy: (r/reference)^exponent, and compensation for two-way absorption. It is 1 at
+    `reference`.
+    An exponent of 4 is '40 log r', for points. An exponent of 3 is '30 log r', for surfaces, whose echoing area grows
+    with range (Urick, 1983, ch. 8).
 
-    1 at the range `reference` [m]. An exponent of 4 is '40 log r' for points, 3 is '30 log r' for
-    surfaces, whose echoing area grows with range (Urick, 1983, ch. 8).
+    Args:
+        ranges: Slant ranges (...) [m].
+        reference: Slant range at which the gain is 1 [m].
+        exponent: Exponent of range [1].
+        absorption: One-way absorption that is compensated [dB/m].
     """
     spread = (ranges / reference) ** jnp.asarray(exponent, jnp.float32)
     return spread / absorption_loss(ranges - reference, absorption)
 
 
 def elevation_gain(offset: Float[Array, "*batch"], aperture: Any, skirt: Any) -> Float[Array, "*batch"]:
-    """Two-way gain (...) at an elevation `offset` [rad] off the beam axis: flat, −3 dB at half the `aperture` [rad].
-
-    Beyond it the gain falls by `skirt` [dB per degree]. No source for the curve: a logistic one in dB, a model of ours
-    for a lens, which gives a flat top and steep skirts instead of a line array's sinc². Skirts of 10 to 14 are those of
-    a public fit to an ARIS 3000, whose author is not on record.
+    """Two-way gain (...) at an elevation `offset` (...) [rad] from the beam axis: flat, then −3 dB at half the
+    `aperture` [rad].
+    Beyond it the gain falls by `skirt` [dB per degree]. No source for the curve: a logistic curve in dB, a model of
+    ours for a lens, which has a flat top and steep skirts instead of a line array's sinc². Skirts of 10 to 14 are those
+    of a public fit to an ARIS 3000, whose author is not on record.
     """
     beyond = jnp.degrees(jnp.abs(offset) - jnp.asarray(aperture, jnp.float32) / 2)
     return 1 / (1 + 10 ** jnp.clip(jnp.asarray(skirt, jnp.float32) * beyond / 10, -20.0, 20.0))
 
 
 def with_skirts(sonar: Sonar) -> Sonar:
-    """The sonar with `SKIRT` more aperture above and below: what is rendered where `elevation_gain` has its say.
-
-    A template ends sharply at the aperture, an image fades there. No source: a choice of ours.
+    """The sonar with `SKIRT` more aperture above and below: `observe_scene` renders it before it applies
+    `elevation_gain`.
+    A template ends sharply at the aperture, but an image fades out there. No source: a choice of ours.
     """
     return sonar.replace(elevation_aperture=sonar.elevation_aperture + 2 * SKIRT)
 
 
 def floor_elevation(sonar: Sonar) -> Float[Array, "range beam"]:
-    """Elevation [rad] in the sonar frame of the floor that each pixel (range, beam) shows, without roll.
-
-    From r·(sin φ cos T − cos φ cos θ sin T) = −height. Straight down where the range is shorter than the height. No
+    """Elevation [rad] in the sonar frame of the floor that each pixel (range, beam) shows; roll is ignored.
+    From r·(sin φ cos T − cos φ cos θ sin T) = −height. Straight down where the range is less than the height. No
     source: plane geometry in the package's frames.
     """
     tilt = jnp.asarray(sonar.tilt, jnp.float32)
@@ -87,7 +89,7 @@ def floor_elevation(sonar: Sonar) -> Float[Array, "range beam"]:
 
 
 def _arcsin(x: Array) -> Array:
-    """arcsin of 0 ≤ x < 1 to 2e-8 by Abramowitz and Stegun, 4.4.46: XLA's own takes six times as long on a CPU."""
+    """arcsin of 0 ≤ x < 1 to 2e-8 (Abramowitz and Stegun, 4.4.46). XLA's own takes six times as long on a CPU."""
     series = jnp.full_like(x, ARCSIN[-1])
     for coefficient in ARCSIN[-2::-1]:
         series = series * x + coefficient
@@ -95,32 +97,31 @@ def _arcsin(x: Array) -> Array:
 
 
 def range_middles(sonar: Sonar) -> Float[Array, "range"]:
-    """Slant range (range,) [m] of the middle of each bin. No source: the definition of the bins."""
+    """Slant range (range,) [m] of the middle of each range bin. No source: the definition of the bins."""
     return sonar.range_min + sonar.range_bin * (jnp.arange(sonar.n_ranges, dtype=jnp.float32) + 0.5)
 
 
 def reference_range(sonar: Sonar) -> Float[Array, ""]:
-    """Slant range [m] at which the beam axis meets the floor; between 1.05 and 6 heights where it is far or nowhere.
-
-    It depends on neither the window nor what is in it, so a crop of a frame is processed as the frame is. No source: a
-    choice of ours.
+    """Slant range [m] at which the beam axis meets the floor, limited to between 1.05 and 6 heights.
+    It depends on the sonar's height and tilt only, not on the window, so a crop of a frame is processed as the frame
+    is. No source: a choice of ours.
     """
     down = jnp.sin(jnp.clip(jnp.asarray(sonar.tilt, jnp.float32), 1 / 6, math.asin(1 / 1.05)))
     return sonar.height / down
 
 
 def reference_energy(sonar: Sonar) -> Float[Array, ""]:
-    """Energy [rad/m²] of a bin of bare floor at the reference range, as the renderer counts it (eq. 2, k = 1)."""
+    """Energy [rad/m²] of a range bin of bare floor at the reference range, as the renderer counts it (eq. 2, k = 1)."""
     r = reference_range(sonar)
     absorbed = absorption_loss(r, sonar.absorption) * (sonar.height / r) ** jnp.asarray(sonar.lambert, jnp.float32)
     return floor_angle(r, sonar) * r ** (-jnp.asarray(sonar.spreading_exponent, jnp.float32)) * absorbed
 
 
 def pulse_blur(image: Float[Array, "range beam"], pulse_bins: Any) -> Float[Array, "range beam"]:
-    """Energy (range, beam) spread evenly over a pulse of `pulse_bins` range bins, 1 to 9; a bin's own is no blur.
-
-    A pulse of duration τ echoes from cτ/2 of range at once (Urick, 1983, ch. 8); its envelope is taken as a box. The
-    weights sum to one; what would come from beyond the window is taken from its outermost bins.
+    """Spread energy (range, beam) evenly over a pulse of `pulse_bins` range bins, 1 to 9; a pulse of one bin changes
+    nothing.
+    At any moment a pulse of duration τ echoes from cτ/2 of range (Urick, 1983, ch. 8); its envelope is taken as a box.
+    The weights sum to one. Energy from beyond the window is taken to equal that of the outermost bins.
     """
     half = MAX_PULSE_BINS // 2
     length = jnp.clip(jnp.asarray(pulse_bins, jnp.float32), 1.0, float(MAX_PULSE_BINS))
@@ -135,10 +136,9 @@ def pulse_blur(image: Float[Array, "range beam"], pulse_bins: Any) -> Float[Arra
 
 def noise_floor(ranges: Float[Array, "*batch"], level: Any, range_max: Any) -> Float[Array, "*batch"]:
     """Mean energy (...) of the receiver's noise after its gain: level·(r/range_max)² at `ranges` (...) [m].
-
-    `level` is an energy, that at `range_max` [m]. The sonar equation's noise does not depend on range (Urick, 1983,
-    ch. 2); a gain of 20 log r makes this of it. No source for that gain: a model of ours, whatever the time-varied gain
-    of the echoes.
+    `level` is the noise energy at `range_max` [m]. The noise in the sonar equation does not depend on range (Urick,
+    1983, ch. 2); a gain of 20 log r makes it grow so. No source for that gain: a model of ours, independent of the
+    time-varied gain of the echoes.
     """
     return level * jnp.square(ranges / range_max)
 
@@ -147,10 +147,14 @@ def late_reverberation(
     image: Float[Array, "range beam"], share: Any, length: Any, range_bin: Any
 ) -> Float[Array, "range beam"]:
     """Energy (range, beam) that arrives late by way of floor, walls and object: an exponential tail along range.
-
-    Each bin sends `share` [1] of its energy after itself, spread over a decay `length` [m] in bins of `range_bin` [m]:
-    it fills shadows from their near end. Reverberation decays exponentially in a closed basin (Kuttruff, Room
+    It fills shadows from their near end. Reverberation decays exponentially in a closed basin (Kuttruff, Room
     Acoustics, 2009, ch. 5); one share and one length for a frame are models of ours.
+
+    Args:
+        image: Energy (range, beam) that arrives first.
+        share: Share of each bin's energy that arrives again later [1].
+        length: Decay length [m].
+        range_bin: Length of a range bin [m].
     """
     rows = image.shape[0]
     step = jnp.asarray(range_bin, jnp.float32) / jnp.maximum(jnp.asarray(length, jnp.float32), 1e-3)

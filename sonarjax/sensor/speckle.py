@@ -1,6 +1,5 @@
-"""Speckle: complex Gaussian fields, their correlation, and what makes them less or more than Rayleigh.
-
-Fields are (part, range, beam) with the real part first, of unit mean intensity; intensities (range, beam) have mean 1.
+"""Speckle: complex Gaussian fields, their correlation, and distributions narrower or wider than Rayleigh's.
+Fields are (part, range, beam), real part first, with a mean intensity of 1. Intensities are (range, beam), mean 1.
 """
 
 from __future__ import annotations
@@ -15,27 +14,25 @@ from sonarjax.sonar import Sonar
 
 MAX_LOOKS = 4
 """Most looks that `multi_look` averages."""
-LOOK_SHIFTS = (0, 1, 3, 9)  # thirteenths of the image: all differences differ, so two pixels share one look at most
+LOOK_SHIFTS = (0, 1, 3, 9)  # in thirteenths of the image; all differences differ, so two pixels share at most one look
 PATCH = (16, 4)
-"""Spacing (range bins, beams) of the patches of an uneven bottom."""
+"""Size (range bins, beams) of the patches of an uneven bottom."""
 
 
 def complex_field(shape: tuple[int, int], *, key: jax.Array) -> Float[Array, "part range beam"]:
-    """White circular Gaussian field (part, range, beam) with E|g|² = 1: its amplitude is Rayleigh.
-
-    What many scatterers within one resolution cell add up to (Goodman, Speckle Phenomena in Optics, 2007, ch. 2).
+    """Draw a white circular Gaussian field (part, range, beam) with E|g|² = 1; its amplitude is Rayleigh.
+    It is the sum of many scatterers within one resolution cell (Goodman, Speckle Phenomena in Optics, 2007, ch. 2).
     """
     field = jax.random.normal(key, (2, *shape)) * 0.5**0.5
-    return jax.lax.optimization_barrier(field)  # else XLA draws the numbers anew for each of their uses
+    return jax.lax.optimization_barrier(field)  # without it XLA draws the numbers again for each use
 
 
 def azimuth_kernel(sonar: Sonar, reach: Any) -> Float[Array, "beam source"]:
     """Matrix (beam, source) that correlates a white field over azimuth; its rows have unit energy.
-
-    Gaussian in the azimuth difference, of width `reach` in mean beam spacings. The intensity's autocorrelation at a
-    lag of n spacings is exp(−n²/(2 reach²)), to 2 % for a reach above 0.8: 0.60 at one beam for 0.99. It is the square
-    of the field's (Siegert's relation for circular Gaussian fields). No source for the Gaussian: a model of ours; 0.60
-    was measured on real Oculus frames.
+    Gaussian in the difference of azimuth, of width `reach` in mean beam spacings. The autocorrelation of the intensity
+    at a lag of n spacings is exp(−n²/(2 reach²)), to 2 % for a reach above 0.8; for example 0.60 at one beam for 0.99.
+    It is the square of the field's autocorrelation (Siegert's relation for circular Gaussian fields). No source for the
+    Gaussian: a model of ours; 0.60 was measured on real Oculus frames.
     """
     azimuth = jnp.asarray(sonar.azimuth, jnp.float32)
     spacing = (azimuth[-1] - azimuth[0]) / max(sonar.n_beams - 1, 1) if sonar.n_beams > 1 else jnp.float32(1.0)
@@ -45,10 +42,9 @@ def azimuth_kernel(sonar: Sonar, reach: Any) -> Float[Array, "beam source"]:
 
 
 def range_kernel(correlation: Any) -> Float[Array, "3"]:
-    """Three weights (3) along range, of unit energy, after which the *intensity* of a white field correlates by this.
-
-    `correlation` is that of neighbouring bins, 0 to 0.5: the square of the field's, as in `azimuth_kernel`. No source
-    for the three weights: a model of ours.
+    """Three weights (3) along range, of unit energy, that give a white field's *intensity* this `correlation`.
+    `correlation`, 0 to 0.5, is that of intensity between neighbouring bins: the square of the field's, as in
+    `azimuth_kernel`. No source for the three weights: a model of ours.
     """
     field = jnp.sqrt(jnp.clip(jnp.asarray(correlation, jnp.float32), 1e-6, 0.4999))
     side = (1 - jnp.sqrt(1 - 2 * field**2)) / (2 * field)
@@ -60,22 +56,21 @@ def correlate(
     across: Float[Array, "beam source"],
     along: Float[Array, "3"],
 ) -> Float[Array, "part range beam"]:
-    """A white field (part, range, beam) correlated by `azimuth_kernel` (beam, source) and `range_kernel` (3).
-
-    No source: linear filters, so a Gaussian field stays Gaussian; that they act one by one is a model of ours.
+    """Correlate a white field (part, range, beam) by `azimuth_kernel` (beam, source) and `range_kernel` (3).
+    No source: both are linear filters, so a Gaussian field stays Gaussian. Applying one after the other is a model of
+    ours.
     """
     rows = field.shape[1]
-    # Beams first: the other way round XLA fuses the drawing of the numbers into the product, ten times slower.
+    # Beams come first. In the other order XLA fuses the drawing of numbers into the product, which is ten times slower.
     mixed = jnp.einsum("prs,bs->prb", field, across)
-    padded = jnp.concatenate([mixed[:, -1:], mixed, mixed[:, :1]], axis=1)  # around the ends: they stay as strong
+    padded = jnp.concatenate([mixed[:, -1:], mixed, mixed[:, :1]], axis=1)  # wraps, so that the ends stay as strong
     return along[0] * padded[:, :rows] + along[1] * mixed + along[2] * padded[:, 2:]
 
 
 def speckle_intensity(field: Float[Array, "part range beam"], diffuse: Any = 1.0) -> Float[Array, "range beam"]:
-    """Intensity (range, beam), mean 1, of a field (part, range, beam) beside a steady echo: Rice's distribution.
-
-    `diffuse` is the share of the energy that scatters at random: 1 gives exponential intensity (Rayleigh amplitude),
-    0 gives exactly 1. The variance is 1 − (1 − diffuse)² (Rice, Bell Syst. Tech. J. 24, 1945).
+    """Intensity (range, beam), mean 1, of a field (part, range, beam) added to a steady echo: Rice's distribution.
+    `diffuse` is the share of the energy that scatters at random: 1 gives exponential intensity (Rayleigh amplitude), 0
+    gives exactly 1. The variance is 1 − (1 − diffuse)² (Rice, Bell Syst. Tech. J. 24, 1945).
     """
     diffuse = jnp.clip(jnp.asarray(diffuse, jnp.float32), 0.0, 1.0)
     steady, scattered = _safe_sqrt(1 - diffuse), _safe_sqrt(diffuse)
@@ -83,10 +78,10 @@ def speckle_intensity(field: Float[Array, "part range beam"], diffuse: Any = 1.0
 
 
 def heavy_tails(intensity: Float[Array, "range beam"], power: Any) -> Float[Array, "range beam"]:
-    """`intensity` (range, beam)^`power` over its mean: of exponential intensity Weibull's law with the shape 1/power.
-
-    The standard deviation in dB is `power` times Rayleigh's 5.57 dB; 2/power is the shape of the amplitude's law, 1.7
-    as measured on the bottom of real Oculus frames. Weibull clutter: Sekine and Mao, Weibull Radar Clutter (1990).
+    """Raise `intensity` (range, beam) to `power` and scale it to mean 1: exponential intensity becomes Weibull, shape
+    1/power.
+    The standard deviation in dB is `power` times Rayleigh's 5.57 dB. The amplitude's law has the shape 2/power; on the
+    bottom of real Oculus frames that is 1.7. Weibull clutter: Sekine and Mao, Weibull Radar Clutter (1990).
     """
     power = jnp.asarray(power, jnp.float32)
     return jnp.maximum(intensity, 1e-9) ** power * jnp.exp(-jax.scipy.special.gammaln(1 + power))
@@ -97,11 +92,11 @@ def _safe_sqrt(value: Array) -> Array:
 
 
 def multi_look(intensity: Float[Array, "range beam"], looks: Any) -> Float[Array, "range beam"]:
-    """Mean (range, beam) of `looks` independent speckles of unit mean, 1 to 4: Gamma(L, 1/L) for whole numbers.
-
-    The other looks are the same `intensity` (range, beam) shifted by large parts of the image, which costs no random
-    numbers; pixels that are that far apart share a look. Between whole numbers the last look counts less, so that the
-    variance is 1/looks of one look's (Oliver and Quegan, Understanding Synthetic Aperture Radar Images, 1998, ch. 4).
+    """Mean (range, beam) of `looks` independent speckles of mean 1, 1 to 4: Gamma(L, 1/L) for whole numbers.
+    The further looks are the same `intensity` (range, beam) shifted by large parts of the image, which needs no further
+    random numbers; pixels that are one shift apart share a look. For a fractional number the last look has less weight,
+    so that the variance is 1/looks times that of one look (Oliver and Quegan, Understanding Synthetic Aperture Radar
+    Images, 1998, ch. 4).
     """
     rows, beams = intensity.shape
     weights = look_weights(looks)
@@ -110,10 +105,12 @@ def multi_look(intensity: Float[Array, "range beam"], looks: Any) -> Float[Array
 
 
 def look_weights(looks: Any) -> Float[Array, "look"]:
-    """Weights (look,) of sum 1 whose squares sum to 1/looks: m equal ones and a smaller one, m the whole part."""
+    """Weights (look,) that sum to 1 and whose squares sum to 1/looks: equal ones for the whole part, then a smaller
+    one.
+    """
     looks = jnp.clip(jnp.asarray(looks, jnp.float32), 1.0, float(MAX_LOOKS))
     whole = jnp.floor(looks)
-    # (m + x)² = L·(m + x²) for the last weight x, relative to the others
+    # The last weight x, relative to the m equal ones, solves (m + x)² = L·(m + x²).
     rest = looks - 1
     last = (whole - _safe_sqrt(whole**2 - rest * whole * (looks - whole))) / jnp.where(rest > 0, rest, 1.0)
     order = jnp.arange(MAX_LOOKS)
@@ -122,26 +119,23 @@ def look_weights(looks: Any) -> Float[Array, "look"]:
 
 
 def gamma_texture(shape: tuple[int, int], variance: Any, *, key: jax.Array) -> Float[Array, "range beam"]:
-    """Mean energy (range, beam) of a patchy bottom: Gamma of mean 1 and `variance`, smooth between patches.
-
+    """Draw the mean energy (range, beam) of a patchy bottom: Gamma of mean 1 and `variance`, smooth between patches.
     Speckle times this is K-distributed with shape 1/variance (Jakeman and Pusey, IEEE Trans. Antennas Propag. 24,
-    1976): the second moment of the intensity is 2·(1 + variance). Gamma from a Gaussian by `gamma_of_normal`.
+    1976): the second moment of intensity is 2·(1 + variance). `gamma_of_normal` makes Gamma from Gaussian numbers.
     """
     return gamma_of_normal(patchy_normal(shape, key=key), variance)
 
 
 def gamma_of_normal(normal: Float[Array, "*batch"], variance: Any) -> Float[Array, "*batch"]:
-    """Gamma variates (...) of mean 1 and `variance` from standard `normal` ones (...), monotonically.
-
-    The cube of Wilson and Hilferty (Proc. Natl. Acad. Sci. 17, 1931), good for a variance up to 1.
+    """Turn standard normal numbers `normal` (...) into Gamma numbers (...) of mean 1 and `variance`, monotonically.
+    The cube of Wilson and Hilferty (Proc. Natl. Acad. Sci. 17, 1931), accurate for a variance up to 1.
     """
     ninth = jnp.asarray(variance, jnp.float32) / 9
     return jnp.maximum(1 - ninth + _safe_sqrt(ninth) * normal, 0.0) ** 3
 
 
 def patchy_normal(shape: tuple[int, int], *, key: jax.Array) -> Float[Array, "range beam"]:
-    """A standard normal field (range, beam) that changes over the length of a patch, interpolated between patches.
-
+    """Draw a standard normal field (range, beam) that is interpolated between patches of the size `PATCH`.
     No source: a model of ours for how an uneven bottom varies.
     """
     coarse = jax.random.normal(key, (shape[0] // PATCH[0] + 2, shape[1] // PATCH[1] + 2))
@@ -150,7 +144,7 @@ def patchy_normal(shape: tuple[int, int], *, key: jax.Array) -> Float[Array, "ra
 
 
 def _interpolation(count: int, step: int) -> Float[Array, "pixel patch"]:
-    """Linear interpolation weights, scaled so that independent normals stay of unit variance."""
+    """Weights of linear interpolation, scaled so that independent normal numbers keep unit variance."""
     place = jnp.arange(count) / step
     weights = jnp.maximum(1 - jnp.abs(place[:, None] - jnp.arange(count // step + 2)), 0.0)
     return weights / jnp.sqrt(jnp.square(weights).sum(axis=1, keepdims=True))
