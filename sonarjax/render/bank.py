@@ -192,7 +192,7 @@ def _touched_box(images: np.ndarray) -> tuple[tuple[int, int], tuple[int, int]] 
 
 def bank_place(bank: TemplateBank, sonar: Sonar) -> tuple[float, float]:
     """Slant range [m] of the floor at the object's origin, and its image azimuth [rad]: the two that matching
-    shifts.
+    varies.
     """
     return float(np.hypot(bank.ground_range, float(sonar.height))), float(_image_azimuth(bank.x, bank.y, sonar))
 

@@ -1,6 +1,4 @@
-"""Measure on the host, once for each mesh, what vertical slices can meet: how many triangles, and whether they
-cross.
-"""
+"""Measure on the host, once for each mesh, what vertical slices can meet: how many triangles, and if they cross."""
 
 from __future__ import annotations
 

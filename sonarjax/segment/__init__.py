@@ -1,16 +1,16 @@
-"""From a grey frame to a semantic map (§2.2): the pix2pix network, and classical baselines behind the same call.
-
+"""From a grey frame to a semantic map (§2.2): the pix2pix network, and classical baselines with the same call.
 `load_segmenter(name)` gives a `Segmenter`. The names in `SEGMENTERS`:
 
-- `pix2pix`: the shipped network, through tiles of the frame and then a closer look at each object.
-- `otsu`: Otsu's two thresholds (1979, as scikit-image's `threshold_multiotsu` finds them) on the frame's 3 × 3 median:
-  above the upper one is highlight, at the lower one or below it shadow, between them background.
-- `otsu3`: the same on the frame as it is: three classes, hence the name. `median-otsu`: the same on its 5 × 5 median.
-- `otsu1`: Otsu's one threshold (`threshold_otsu`) on the frame as it is: highlight above it, no shadow.
-- `none`: no segmentation. Its semantic map is the grey frame itself; its labels cut that at 1/4 and 3/4.
+- `pix2pix`: the shipped network. It looks at tiles of the frame, then more closely at each object.
+- `otsu`: Otsu's two thresholds (1979; scikit-image's `threshold_multiotsu`) on the frame's 3 × 3 median. Above the
+  upper one is highlight, at or below the lower one is shadow, and background lies between.
+- `otsu3`: the same on the frame without a median; named for its three classes.
+- `median-otsu`: the same on the frame's 5 × 5 median.
+- `otsu1`: Otsu's single threshold (`threshold_otsu`) on the frame without a median: highlight above it, no shadow.
+- `none`: no segmentation. The semantic map is the grey frame itself; for labels it is cut at 1/4 and 3/4.
 
-Where there is a mask, thresholds are those of the pixels inside it (a median looks at the pixels outside, too), and all
-outside is background; only the map of `none` is the frame there as well.
+With a mask, the thresholds are those of the pixels inside it (though a median also uses pixels outside). Pixels outside
+the mask are background, except in the map of `none`, which is the frame everywhere.
 """
 
 from sonarjax.segment.classical import to_grey

@@ -1,4 +1,6 @@
-"""The discriminator of pix2pix (§2.2): four convolutions that judge patches of an image and its semantic map."""
+"""The discriminator of pix2pix (§2.2): four convolutions that tell, patch by patch, true semantic maps from
+generated ones.
+"""
 
 from __future__ import annotations
 
@@ -13,10 +15,10 @@ from sonarjax.segment.normalise import BatchNorm
 
 
 class Discriminator(nn.Module):
-    """Three convolutions of stride 2 and one of stride 1: a logit for each 8 × 8 pixels, which sees 46 × 46 of them."""
+    """Three convolutions of stride 2 and one of stride 1: a logit for every 8 × 8 pixels, each from 46 × 46 pixels."""
 
     width: int = 64
-    """Channels of the first layer; the next two have twice and four times as many."""
+    """Channels of the first layer; the second and third have two and four times as many."""
     dtype: Any = jnp.float32
     """Type of the maps; parameters stay float32."""
     backend: Backend = "auto"
@@ -26,10 +28,12 @@ class Discriminator(nn.Module):
     def __call__(
         self, x: Float[Array, "batch height width 1"], y: Float[Array, "batch height width 1"]
     ) -> Float[Array, "batch patchrow patchcolumn 1"]:
-        """Logits (batch, patchrow, patchcolumn, 1), positive for real, of images `x` and maps `y`.
+        """Logits (batch, patchrow, patchcolumn, 1), positive for true maps.
+        Normalisation always uses the batch's own statistics, because the discriminator is used in training only.
 
-        Both (batch, height, width, 1) in [−1, 1]. Normalised with the batch's own statistics always: the
-        discriminator is used in training only.
+        Args:
+            x: Images (batch, height, width, 1) in [−1, 1].
+            y: Their semantic maps (batch, height, width, 1) in [−1, 1].
         """
         maps = jnp.concatenate([x, y], -1).astype(self.dtype)
         for n in (1, 2, 3):

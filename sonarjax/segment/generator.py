@@ -1,4 +1,4 @@
-"""The generator of pix2pix (§2.2): a U-Net of 15 layers whose layer n is copied to layer 16 − n."""
+"""The generator of pix2pix (§2.2): a U-Net of 15 layers in which layer 16 − n also gets the output of layer n."""
 
 from __future__ import annotations
 
@@ -22,12 +22,11 @@ DROPOUT = 0.5
 
 
 class Generator(nn.Module):
-    """Seven convolutions of stride 2 down to 1 × 1, a bottleneck layer, seven transposed ones back up.
-
-    Dropout in the first three layers of the way up is the random input z of the paper: give `rngs={"dropout": key}` to
-    draw it, leave it out for the mean answer. Layers 7 and 8 have one pixel a patch, hence no normalisation; layers 7
-    and 9 have only the 2 × 2 taps that reach it, since the rest of 4 × 4 would see padding, never learn, and disturb
-    larger images.
+    """Seven convolutions of stride 2 down to 1 × 1, a bottleneck layer, and seven transposed convolutions back up.
+    Dropout in the first three layers of the way up is the random input z of the paper. Give `rngs={"dropout": key}` to
+    draw it; without it the answer is the mean. Layers 7 and 8 have one pixel for each crop, hence no normalisation.
+    Layers 7 and 9 have only the 2 × 2 taps that reach that pixel: the other taps of a 4 × 4 kernel would see padding,
+    never learn, and disturb larger images.
     """
 
     width: int = 64
@@ -35,24 +34,30 @@ class Generator(nn.Module):
     head: Head = "tanh"
     """`tanh`: one grey channel in [−1, 1]. `classes`: three logits in the order of the labels."""
     skips: bool = True
-    """Copy layer n to layer 16 − n; False for the ablation."""
+    """Give the output of layer n to layer 16 − n; False for the ablation."""
     multipliers: tuple[int, ...] = (1, 2, 4, 8, 8, 8, 8)
-    """Channels of the seven layers on the way down, in units of `width`."""
+    """Channels of the seven layers on the way down, as multiples of `width`."""
     dtype: Any = jnp.float32
     """Type of the maps; bfloat16 is faster on GPUs. Parameters and statistics stay float32."""
     backend: Backend = "auto"
     """How the layers are computed, see `layers`."""
     inputs: Inputs = "grey"
-    """What the first layer is shown of an image, see `inputs`."""
+    """What the first layer is given of an image, see `inputs`."""
 
     @nn.compact
     def __call__(
         self, x: Float[Array, "batch height width 1"], train: bool = False
     ) -> Float[Array, "batch height width output"]:
-        """Images (batch, height, width, 1) in [−1, 1] to maps (batch, height, width, output), `output` as by `head`.
+        """Turn images (batch, height, width, 1) in [−1, 1] into maps (batch, height, width, output).
+        Args:
+            x: Images; height and width are multiples of 128.
+            train: Normalise by the batch's own statistics, and update the running ones.
 
-        `train` normalises with the batch's own statistics and moves the running ones. Raises SonarjaxError when height
-        or width is no multiple of 128.
+        Returns:
+            Maps with one output channel, or three, as `head` says.
+
+        Raises:
+            SonarjaxError: Height or width is not a multiple of 128.
         """
         if x.shape[1] % STRIDE or x.shape[2] % STRIDE:
             raise SonarjaxError(f"image: expected height and width to be multiples of {STRIDE}, got {x.shape[1:3]}")
@@ -74,7 +79,7 @@ class Generator(nn.Module):
         return layers
 
     def _way_up(self, x: Array, layers: list[Array], train: bool) -> Array:
-        """Output of layer 15, before its nonlinearity, from that of layer 8."""
+        """Output of layer 15, before its nonlinearity, given that of layer 8."""
         output = 1 if self.head == "tanh" else 3
         for n in range(9, 16):
             copied = (layers[15 - n],) if self.skips else ()  # layer 16 − n, counted from 1
@@ -90,9 +95,8 @@ class Generator(nn.Module):
 
 
 def to_grey(output: Float[Array, "batch height width output"]) -> Float[Array, "batch height width 1"]:
-    """A generator's output (batch, height, width, output) as grey (batch, height, width, 1) in [−1, 1].
-
-    One channel is grey already; of three logits it is the probability of highlight less that of shadow.
+    """Turn a generator's output (batch, height, width, output) into grey (batch, height, width, 1) in [−1, 1].
+    A single channel is grey already. Three logits give the probability of highlight minus that of shadow.
     """
     if output.shape[-1] == 1:
         return output

@@ -1,6 +1,5 @@
-"""Where training starts: pix2pix's draw of all weights, from one draw of normal numbers.
-
-Flax's own `init` draws each array by itself; compiled, those fifty draws take half a minute of XLA's time.
+"""Initial weights: pix2pix's draw of all weights, from a single draw of normal numbers.
+Flax's own `init` draws each array separately. Compiling those fifty draws takes XLA half a minute.
 """
 
 from __future__ import annotations
@@ -14,11 +13,11 @@ from flax import linen as nn
 from jaxtyping import Array
 
 DEVIATION = 0.02
-"""Standard deviation of kernels about 0 and of normalisation's scales about 1; Adam's steps suit that size."""
+"""Standard deviation of kernels around 0 and of normalisation scales around 1. Adam's step size suits it."""
 
 
 def draw_variables(module: nn.Module, *inputs: Array, key: Array) -> Any:
-    """Variables of `module` as `module.init` gives them for `inputs` (any shapes), random ones from `key`."""
+    """Variables of `module` as `module.init` makes them for `inputs` (any shapes); random ones are drawn from `key`."""
     shapes = jax.eval_shape(module.init, key, *inputs)
     flat, tree = jax.tree_util.tree_flatten_with_path(shapes)
     names = [path[-1].key for path, _ in flat]

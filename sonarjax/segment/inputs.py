@@ -1,7 +1,6 @@
-"""What a network is shown of a grey image: the grey itself, or what a device's display law does not change.
-
-A display law is a monotone curve from energy to grey, another one for each device and each setting of its gain. The
-rank of a pixel among all of its patch is the same under all of them.
+"""What a network is given of a grey image: the grey itself, or numbers that a display law does not change.
+A display law is a monotone curve from energy to grey. It differs between devices and between settings of their gain.
+The rank of a pixel among all pixels of its image is the same under every such curve.
 """
 
 from __future__ import annotations
@@ -14,9 +13,9 @@ from jaxtyping import Array, Float
 
 Inputs = Literal["grey", "ranks"]
 CHANNELS: dict[Inputs, int] = {"grey": 1, "ranks": 2}
-"""Channels of each kind of input."""
+"""Number of channels of each kind of input."""
 LEVELS = 256
-"""Levels between which a histogram is linear: those that devices store."""
+"""Number of levels of the histogram, which is linear between them; devices store as many."""
 SPREAD = 2.0
 """Deviation, in standard deviations, at which the second channel begins to saturate."""
 
@@ -24,11 +23,10 @@ SPREAD = 2.0
 def network_input(
     x: Float[Array, "batch height width 1"], inputs: Inputs
 ) -> Float[Array, "batch height width channel"]:
-    """Channels (batch, height, width, channel) in [−1, 1] of images (batch, height, width, 1) in [−1, 1].
-
-    `grey` is the image itself. `ranks` are the rank of each pixel in its image (histogram equalisation: Gonzalez and
+    """Channels (batch, height, width, channel) in [−1, 1] from images (batch, height, width, 1) in [−1, 1].
+    `grey` is the image itself. `ranks` gives the rank of each pixel in its image (histogram equalisation: Gonzalez and
     Woods, Digital Image Processing, 2018, ch. 3), and its deviation from the image's mean in standard deviations,
-    saturated. Differentiable: the histogram is that of linear weights.
+    saturated. Both are differentiable, because the histogram counts with linear weights.
     """
     if inputs == "grey":
         return x
@@ -39,9 +37,8 @@ def network_input(
 
 
 def ranks(image: Float[Array, "height width"]) -> Float[Array, "height width"]:
-    """Share of an image's (height, width) pixels below each pixel, in [−1, 1] the image, in [0, 1] the result.
-
-    Half of the pixels that are equal to it count: an even image is 0.5 everywhere.
+    """Share of an image's (height, width) pixels that are darker than each pixel, in [0, 1]; the image is in [−1, 1].
+    Pixels of equal value count half, so an even image gives 0.5 everywhere.
     """
     place = jnp.clip((image + 1) / 2, 0.0, 1.0) * (LEVELS - 1)
     low = jnp.minimum(jax.lax.stop_gradient(place).astype(jnp.int32), LEVELS - 2)

@@ -1,7 +1,7 @@
-"""Stride-2 4 × 4 convolutions, down and up: plain functions with two backends, and the flax modules made of them.
-
-`convolution` is `lax.conv_general_dilated`, for GPUs and TPUs. XLA's CPU runs that slowly (its gradients and the
-transposed one most of all), so there `product` is the same layer as matrix products. Maps are channels-last.
+"""Stride-2 4 × 4 convolutions, down and up: plain functions with two backends, and flax modules that use them.
+The backend `convolution` is `lax.conv_general_dilated`, for GPUs and TPUs. On CPUs XLA runs it slowly, its gradients
+and the transposed convolution most of all. There the backend `product` computes the same layer as matrix products. Maps
+are channels-last.
 """
 
 from __future__ import annotations
@@ -26,9 +26,11 @@ def down(
     kernel: Float[Array, "4 4 channel feature"],
     backend: Backend = "auto",
 ) -> Float[Array, "batch halfheight halfwidth feature"]:
-    """Convolution of maps (batch, height, width, channel), stride 2, padding 1, with `kernel` (4, 4, channel, feature).
+    """Convolve maps (batch, height, width, channel) with `kernel` (4, 4, channel, feature): stride 2, padding 1.
+    Height and width are even. Both backends give the same numbers.
 
-    Returns (batch, halfheight, halfwidth, feature); height and width are even. Both backends give the same numbers.
+    Returns:
+        Maps (batch, halfheight, halfwidth, feature).
     """
     if _use_product(backend):
         return products.down(x, kernel)
@@ -40,10 +42,13 @@ def up(
     kernel: Float[Array, "4 4 feature channel"],
     backend: Backend = "auto",
 ) -> Float[Array, "batch twiceheight twicewidth feature"]:
-    """Transposed convolution, stride 2, of maps (batch, height, width, channel): each pixel spreads over 4 × 4 pixels.
-
+    """Transposed convolution of maps (batch, height, width, channel) with stride 2: each pixel spreads over 4 × 4
+    pixels.
     `kernel` (4, 4, feature, channel) is that of the `down` whose transpose this is: out[2i + a − 1, 2j + b − 1] sums
-    kernel[a, b] · x[i, j]. Returns (batch, twiceheight, twicewidth, feature). Both backends give the same numbers.
+    kernel[a, b] · x[i, j]. Both backends give the same numbers.
+
+    Returns:
+        Maps (batch, twiceheight, twicewidth, feature).
     """
     if _use_product(backend):
         return products.up(x, kernel)
@@ -56,9 +61,11 @@ def up(
 def down_two(
     x: Float[Array, "batch height width channel"], kernel: Float[Array, "2 2 channel feature"]
 ) -> Float[Array, "batch halfheight halfwidth feature"]:
-    """Convolution of maps (batch, height, width, channel), stride 2, unpadded, with `kernel` (2, 2, channel, feature).
+    """Convolve maps (batch, height, width, channel) with `kernel` (2, 2, channel, feature): stride 2, no padding.
+    On a 2 × 2 map it equals `down`, because the other twelve taps of a 4 × 4 kernel see only padding.
 
-    Returns (batch, halfheight, halfwidth, feature). On a 2 × 2 map it is `down`: the other twelve taps see padding.
+    Returns:
+        Maps (batch, halfheight, halfwidth, feature).
     """
     n, h, w, c = x.shape
     blocks = x.reshape(n, h // 2, 2, w // 2, 2, c).transpose(0, 1, 3, 2, 4, 5).reshape(n, h // 2, w // 2, 4 * c)
@@ -68,9 +75,11 @@ def down_two(
 def up_two(
     x: Float[Array, "batch height width channel"], kernel: Float[Array, "2 2 feature channel"]
 ) -> Float[Array, "batch twiceheight twicewidth feature"]:
-    """Transpose of `down_two` with the same kernel (2, 2, feature, channel): maps (batch, height, width, channel).
+    """Transpose of `down_two`, of maps (batch, height, width, channel), with the same kernel (2, 2, feature, channel).
+    On a 1 × 1 map it equals `up`.
 
-    Returns (batch, twiceheight, twicewidth, feature). On a 1 × 1 map it is `up`.
+    Returns:
+        Maps (batch, twiceheight, twicewidth, feature).
     """
     n, h, w, c = x.shape
     blocks = (x @ kernel.reshape(-1, c).T).reshape(n, h, w, 2, 2, -1)
@@ -82,15 +91,17 @@ def patch(
     kernel: Float[Array, "4 4 channel feature"],
     backend: Backend = "auto",
 ) -> Float[Array, "batch lessheight lesswidth feature"]:
-    """Convolution of maps (batch, height, width, channel), stride 1, padding 1, with `kernel` (4, 4, channel, feature).
+    """Convolve maps (batch, height, width, channel) with `kernel` (4, 4, channel, feature): stride 1, padding 1.
+    The backend `product` is fast only for few features.
 
-    Returns (batch, lessheight, lesswidth, feature), one pixel less each way. The product suits few features only.
+    Returns:
+        Maps (batch, lessheight, lesswidth, feature), one pixel smaller along each axis.
     """
     if not _use_product(backend):
         return lax.conv_general_dilated(x, kernel, (1, 1), ((1, 1), (1, 1)), dimension_numbers=_LAYOUT)
     n, h, w, c = x.shape
     features = kernel.shape[-1]
-    # The sixteen products of every pixel first, then sums of shifted maps, which are thin.
+    # Compute the sixteen products of every pixel first, then sum shifted maps, which have few features.
     matrix = kernel.transpose(2, 0, 1, 3).reshape(c, -1)
     each = products.product(x.reshape(-1, c), matrix).reshape(n, h, w, 4, 4, features)
     each = jnp.pad(each, ((0, 0), (1, 1), (1, 1), (0, 0), (0, 0), (0, 0)))
@@ -102,12 +113,12 @@ def _use_product(backend: Backend) -> bool:
 
 
 class Down(nn.Module):
-    """`down` (`down_two` with size 2) with a kernel and, where wanted, a bias (feature,): halves height and width."""
+    """`down` (or `down_two` for size 2) with a kernel and an optional bias (feature,): halves height and width."""
 
     features: int
     """Channels of the output."""
     use_bias: bool = True
-    """Add a bias; without effect before a normalisation, hence left out there."""
+    """Add a bias. It has no effect before a normalisation, so it is left out there."""
     size: int = 4
     """Side of the kernel, 4 or 2 [pixels]."""
     dtype: Any = jnp.float32
@@ -126,12 +137,12 @@ class Down(nn.Module):
 
 
 class Up(nn.Module):
-    """`up` (`up_two` with size 2) with a kernel and, where wanted, a bias (feature,): doubles height and width."""
+    """`up` (or `up_two` for size 2) with a kernel and an optional bias (feature,): doubles height and width."""
 
     features: int
     """Channels of the output."""
     use_bias: bool = True
-    """Add a bias; without effect before a normalisation, hence left out there."""
+    """Add a bias. It has no effect before a normalisation, so it is left out there."""
     size: int = 4
     """Side of the kernel, 4 or 2 [pixels]."""
     dtype: Any = jnp.float32
@@ -143,11 +154,11 @@ class Up(nn.Module):
     def __call__(
         self, *parts: Float[Array, "batch height width _"]
     ) -> Float[Array, "batch twiceheight twicewidth feature"]:
-        """Maps (batch, height, width, channel), their channels joined, to (batch, twiceheight, twicewidth, feature)."""
+        """Maps (batch, height, width, channel), joined along channels, to (batch, twiceheight, twicewidth, feature)."""
         kernel = _kernel(self, self.size, self.features, sum(v.shape[-1] for v in parts)).astype(self.dtype)
         parts = tuple(v.astype(self.dtype) for v in parts)
         if self.features < products.THIN and self.size == 4:
-            # The layer is linear: with few features, adding its parts' outputs is cheaper than joining its inputs.
+            # The layer is linear. With few features, adding the outputs of its parts is cheaper than joining the parts.
             ends = list(accumulate(v.shape[-1] for v in parts))
             kernels = jnp.split(kernel, ends[:-1], -1)
             y = sum(up(v, k, self.backend) for v, k in zip(parts, kernels, strict=True))
@@ -157,7 +168,7 @@ class Up(nn.Module):
 
 
 class Patch(nn.Module):
-    """`patch` with a kernel and, where wanted, a bias (feature,): one pixel less each way."""
+    """`patch` with a kernel and an optional bias (feature,): one pixel smaller along each axis."""
 
     features: int
     """Channels of the output."""
@@ -166,7 +177,7 @@ class Patch(nn.Module):
     dtype: Any = jnp.float32
     """Type of the maps; parameters stay float32."""
     backend: Backend = "auto"
-    """How it is computed, see `layers`."""
+    """How the layer is computed, see `layers`."""
 
     @nn.compact
     def __call__(
@@ -178,7 +189,7 @@ class Patch(nn.Module):
 
 
 def _kernel(module: nn.Module, size: int, channels: int, features: int) -> Array:
-    # pix2pix draws weights from N(0, 0.02²), and Adam's step suits that size.
+    # As in pix2pix, whose step size for Adam suits weights drawn from N(0, 0.02²).
     return module.param("kernel", nn.initializers.normal(0.02), (size, size, channels, features))
 
 

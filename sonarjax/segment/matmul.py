@@ -1,6 +1,6 @@
-"""The stride-2 4 × 4 layers as one matrix product each, for CPUs: what thin or tiny maps are best served with.
-
-The steps bear the names of `winograd`'s, so that `products` composes either: lists of matrices, here of one.
+"""The stride-2 4 × 4 layers as one matrix product each, for CPUs: the faster scheme for thin or tiny maps.
+The steps have the same names as those of `winograd`, so that `products` can use either: they pass lists of matrices,
+here lists of one.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from jaxtyping import Array
 
 
 def gather(x: Array) -> list[Array]:
-    """Large map (n, 2h, 2w, c) -> the 4 × 4 windows of the small one's pixels (pixel, 16c)."""
+    """Large map (n, 2h, 2w, c) -> the 4 × 4 window of each pixel of the small map (pixel, 16c)."""
     n, h, w, c = x.shape
     pairs = jnp.pad(x, ((0, 0), (1, 1), (1, 1), (0, 0))).reshape(n, h + 2, w // 2 + 1, 2 * c)
     fours = jnp.concatenate([pairs[:, :, :-1], pairs[:, :, 1:]], -1)
@@ -20,7 +20,7 @@ def gather(x: Array) -> list[Array]:
 
 
 def scatter(one: list[Array], small: tuple[int, int, int]) -> Array:
-    """Transpose of `gather`: (pixel, 16c) -> large map (n, 2h, 2w, c), sums where windows overlap."""
+    """Transpose of `gather`: (pixel, 16c) -> large map (n, 2h, 2w, c), summed where windows overlap."""
     n, h, w = small
     windows = one[0].reshape(n, h, w, 4, 4, -1)
     rows = jnp.stack(_overlap([windows[:, :, :, a] for a in range(4)], 1), 2)  # (n, h, 2, w, 4, c)
@@ -29,12 +29,12 @@ def scatter(one: list[Array], small: tuple[int, int, int]) -> Array:
 
 
 def _overlap(taps: list[Array], axis: int) -> list[Array]:
-    """Even and odd pixels along an axis: two taps of their own window, one each of the windows beside it."""
+    """Even and odd pixels along an axis: each sums one tap of its own window and one of the window beside it."""
     return [taps[1] + shifted(taps[3], axis, 1), taps[2] + shifted(taps[0], axis, -1)]
 
 
 def shifted(v: Array, axis: int, by: int) -> Array:
-    """`v` (any shape) moved `by` places along an axis, zeros moving in."""
+    """Shift `v` (any shape) by `by` places along an axis, filling with zeros."""
     config = [(0, 0, 0)] * v.ndim
     config[axis] = (by, -by, 0)
     return lax.pad(v, jnp.zeros((), v.dtype), config)

@@ -1,4 +1,4 @@
-"""How good a semantic map is: confusion counts, intersection over union, PSNR; each by its textbook definition."""
+"""Quality of a semantic map: confusion counts, intersection over union and PSNR, each by its textbook definition."""
 
 from __future__ import annotations
 
@@ -8,21 +8,20 @@ from jaxtyping import Array, Float, Int, UInt8
 from sonarjax.segment.loss import N_CLASSES
 
 LEAST_ERROR = 1e-10
-"""Mean squared error that counts as none: PSNR stops at 100 dB."""
+"""Least mean squared error that is told from zero: PSNR stops at 100 dB."""
 
 
 def confusion(
     predicted: UInt8[Array, "*batch range beam"], truth: UInt8[Array, "*batch range beam"]
 ) -> Int[Array, "truth predicted"]:
-    """Number of pixels (truth, predicted) of each true and each predicted label, of maps (..., range, beam)."""
+    """Number of pixels (truth, predicted) for each pair of true and predicted label, over maps (..., range, beam)."""
     pairs = truth.astype(jnp.int32) * N_CLASSES + predicted
     return jnp.bincount(pairs.ravel(), length=N_CLASSES**2).reshape(N_CLASSES, N_CLASSES)
 
 
 def iou(counts: Int[Array, "truth predicted"]) -> Float[Array, "label"]:
-    """Intersection over union (label,), the Jaccard index, from `confusion` (truth, predicted) of all pixels at once.
-
-    A label that is neither there nor predicted has 1.
+    """Intersection over union (label,), the Jaccard index, from `confusion` (truth, predicted) of all pixels together.
+    It is 1 for a label that is neither present nor predicted.
     """
     both = jnp.diagonal(counts)
     either = counts.sum(axis=0) + counts.sum(axis=1) - both

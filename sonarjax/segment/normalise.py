@@ -1,4 +1,4 @@
-"""Batch normalisation of channels-last maps, with running statistics where inference needs them."""
+"""Batch normalisation of channels-last maps, with running statistics for inference."""
 
 from __future__ import annotations
 
@@ -11,21 +11,23 @@ EPSILON = 1e-5
 
 
 class BatchNorm(nn.Module):
-    """Each channel to mean `bias` and standard deviation `scale` (both (channel,)) over batch, height and width.
-
-    The mean runs over the whole batch also where it is spread over devices. Statistics are float32 at any type of map.
+    """Bring each channel to mean `bias` and standard deviation `scale` (both (channel,)) over batch, height and width.
+    The mean runs over the complete batch, even if it is spread over devices. Statistics are float32 whatever the type
+    of the map.
     """
 
     running: bool = True
-    """Keep running statistics in the collection `batch_stats`; without them every call uses its own batch."""
+    """Keep running statistics in the collection `batch_stats`. If false, every call uses its own batch."""
     momentum: float = 0.9
-    """Share of the old running statistics that a training step keeps."""
+    """Share of the old running statistics that is kept at each training step."""
 
     @nn.compact
     def __call__(
         self, x: Float[Array, "batch height width channel"], train: bool
     ) -> Float[Array, "batch height width channel"]:
-        """Maps (batch, height, width, channel), with the batch's statistics in training and the running ones else."""
+        """Normalise maps (batch, height, width, channel), by the batch's statistics if `train`, else by the
+        running ones.
+        """
         channels = x.shape[-1:]
         scale = self.param("scale", _scales, channels)
         bias = self.param("bias", nn.initializers.zeros, channels)
@@ -38,7 +40,7 @@ class BatchNorm(nn.Module):
                 mean, variance = kept.value, kept_variance.value
             elif not self.is_initializing():
                 count = x.size // x.shape[-1]
-                unbiased = variance * (count / max(count - 1, 1))  # running statistics are for other pixels than these
+                unbiased = variance * (count / max(count - 1, 1))  # running statistics are applied to other pixels
                 kept.value = self._moved(kept.value, mean)
                 kept_variance.value = self._moved(kept_variance.value, unbiased)
         factor = scale * lax.rsqrt(variance + EPSILON)
@@ -49,7 +51,7 @@ class BatchNorm(nn.Module):
 
 
 def _scales(key: Array, shape: tuple[int, ...]) -> Array:
-    """pix2pix's start: N(1, 0.02²)."""
+    """Initial scales as in pix2pix: N(1, 0.02²)."""
     return 1.0 + nn.initializers.normal(0.02)(key, shape)
 
 

@@ -1,6 +1,5 @@
-"""What a semantic map shows, as boxes: connected parts of highlight and shadow, the clearest ones first.
-
-All of it has fixed shapes and runs under jit and vmap. Nothing here has a derivative.
+"""The objects in a semantic map, as boxes: connected parts of highlight and shadow, the clearest first.
+Everything has fixed shapes and runs under jit and vmap. Nothing here has a derivative.
 """
 
 from __future__ import annotations
@@ -12,28 +11,27 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 LEAST_EVIDENCE = 0.25
-"""A pixel belongs to an object when its grey is further than this from the background's."""
+"""A pixel belongs to an object if its grey differs from the background's by more than this."""
 CLOSING = (9, 3)
-"""Gaps of up to so many pixels (range, beam) between parts of an object are closed."""
+"""Gaps of up to this many pixels (range, beam) between parts of an object are closed."""
 JUMPS = 10
-"""Chains of numbers are followed 2¹⁰ steps in one round."""
+"""Chains of labels are followed for 2¹⁰ steps in one round."""
 LEAST_SHARE = 0.2
-"""Least evidence of an object that counts, relative to that of the clearest."""
+"""Objects with less than this share of the clearest object's evidence are dropped."""
 
 
 class Objects(NamedTuple):
     """The objects of a map, the clearest first."""
 
     bounds: Int[Array, "object 4"]
-    """First row and column of each, and one past its last row and column [pixels]; arbitrary where not `found`."""
+    """First row and column of each object, and one past its last ones [pixels]; arbitrary where not `found`."""
     found: Bool[Array, "object"]
-    """False where there are fewer objects than room for them."""
+    """False for unused places."""
 
 
 def find_objects(grey: Float[Array, "range beam"], most: int) -> Objects:
-    """At most `most` connected parts (8 neighbours) of what is not background (0.5) in `grey` (range, beam).
-
-    An object's evidence is the sum over its pixels of how far their grey is from the background's.
+    """Find up to `most` connected parts (8 neighbours) of `grey` (range, beam) that are not background (0.5).
+    The evidence of an object is the sum over its pixels of the difference between their grey and the background's.
     """
     evidence = jnp.abs(jax.lax.stop_gradient(grey) - 0.5)
     labels = connected_parts(_closed(evidence > LEAST_EVIDENCE))
@@ -45,10 +43,9 @@ def find_objects(grey: Float[Array, "range beam"], most: int) -> Objects:
 
 
 def connected_parts(mask: Bool[Array, "range beam"]) -> Int[Array, "range beam"]:
-    """A number (range, beam) for each connected part of `mask`, 1 or more; 0 outside.
-
-    Each pixel takes the largest number around it, and each number stands for the largest that any pixel with it has met
-    (Shiloach & Vishkin 1982): a few rounds do for any shape.
+    """Label (range, beam) each connected part of `mask` with a number of 1 or more; 0 outside.
+    Each pixel takes the largest label around it, and each label is then replaced by the largest that any of its pixels
+    has met (Shiloach and Vishkin 1982). A few rounds suffice for any shape.
     """
     numbers = jnp.arange(1, mask.size + 1).reshape(mask.shape)
 
@@ -56,7 +53,7 @@ def connected_parts(mask: Bool[Array, "range beam"]) -> Int[Array, "range beam"]
         labels, _ = state
         near = jnp.where(mask, _largest_around(labels, (3, 3)), 0)
         met = jnp.arange(mask.size + 1).at[labels.ravel()].max(near.ravel())
-        met = jax.lax.fori_loop(0, JUMPS, lambda _, m: m[m], met)  # to the end of each chain
+        met = jax.lax.fori_loop(0, JUMPS, lambda _, m: m[m], met)  # follow each chain to its end
         spread = jnp.where(mask, met[near], 0)
         return spread, (spread != labels).any()
 
@@ -69,7 +66,7 @@ def _largest_around(values: Int[Array, "range beam"], size: tuple[int, int]) -> 
 
 
 def _closed(mask: Bool[Array, "range beam"]) -> Bool[Array, "range beam"]:
-    """Morphological closing: dilated, then eroded; beyond the frame there is neither object nor background."""
+    """Morphological closing: dilation, then erosion. Outside the frame there is neither object nor background."""
     dilated = _largest_around(mask.astype(jnp.int32), CLOSING)
     return _largest_around(1 - dilated, CLOSING) == 0
 

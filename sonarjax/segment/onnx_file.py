@@ -1,7 +1,6 @@
 """A segmenter's network as an ONNX file, for users without JAX: a 128 × 128 crop in, its semantic map out.
-
-What is exported is the network alone. Cutting a frame into crops and joining the answers stays with the user
-(docs/export.md has it in NumPy); the closer look at each object is not exported.
+Only the network is exported. Cutting a frame into crops and joining the answers is left to the user (docs/export.md
+shows it in NumPy). The closer look at each object is not exported.
 """
 
 from __future__ import annotations
@@ -26,21 +25,21 @@ CLASSES_OUT = "probabilities: float32 (batch, 3, 128, 128) in the order of `labe
 
 
 def export_onnx(path: str | os.PathLike[str], segmenter: Segmenter) -> None:
-    """Write the network of a segmenter as an ONNX file; all or nothing, the same bytes each time.
+    """Write a segmenter's network as an ONNX file, all or nothing; the bytes are the same each time.
+    The input `image` is (batch, 128, 128) in [0, 1], for any batch size. The output `semantic` is (batch, 128, 128):
+    shadow 0, background 0.5, highlight 1. A network with three classes also has the output `probabilities` (batch, 3,
+    128, 128) of background, highlight and shadow. The file's metadata repeat this, and hold `tile`, `threshold` and
+    `labels`.
 
-    Input `image` (batch, 128, 128) in [0, 1], any batch. Output `semantic` (batch, 128, 128): shadow 0, background 0.5,
-    highlight 1; of a network with three classes also `probabilities` (batch, 3, 128, 128) of background, highlight and
-    shadow. The file's metadata say all that, and hold `tile`, `threshold` and `labels`.
-
-    Raises SonarjaxError when the segmenter has no network, the package `onnx` is missing, or the file cannot be
-    written.
+    Raises:
+        SonarjaxError: The segmenter has no network, the package `onnx` is missing, or the file cannot be written.
     """
     data = onnx_model(segmenter).SerializeToString(deterministic=True)
     write_atomic(path, lambda file: file.write(data))
 
 
 def onnx_model(segmenter: Segmenter) -> Any:
-    """The `onnx.ModelProto` that `export_onnx` writes, checked by `onnx`. Raises SonarjaxError as that does."""
+    """Make the `onnx.ModelProto` that `export_onnx` writes, checked by `onnx`. Raises the same errors."""
     if segmenter.weights is None:
         raise SonarjaxError(f"segmenter: {segmenter.name!r} has no network to export: expected pix2pix or weights")
     try:
@@ -73,7 +72,7 @@ def onnx_model(segmenter: Segmenter) -> Any:
 
 
 def _add_classes(graph: Graph, logits: str) -> None:
-    """The probabilities, and as grey that of highlight less that of shadow, as `generator.to_grey` has it."""
+    """Add the probabilities, and the grey of `generator.to_grey`: probability of highlight minus that of shadow."""
     graph.node("Softmax", logits, axis=1, result="probabilities")
     weights = graph.constant([[[[0.0]], [[0.5]], [[-0.5]]]])
     grey = graph.node("ReduceSum", graph.node("Mul", "probabilities", weights), graph.shape(1), keepdims=0)
@@ -81,13 +80,13 @@ def _add_classes(graph: Graph, logits: str) -> None:
 
 
 def _add_grey(graph: Graph, output: str) -> None:
-    """Grey in [0, 1] of the one channel."""
+    """Add the grey in [0, 1] of a single channel."""
     grey = graph.node("Squeeze", graph.node("Tanh", output), graph.shape(1))
     graph.node("Mul", graph.node("Add", grey, 1.0), 0.5, result="semantic")
 
 
 def _about(segmenter: Segmenter, outputs: list[str]) -> dict[str, str]:
-    """The file's metadata: texts, and JSON where a program will read them."""
+    """The file's metadata: plain text, and JSON where a program will read it."""
     said = [SEMANTIC_OUT, *([CLASSES_OUT] if "probabilities" in outputs else [])]
     return {
         "segmenter": os.path.basename(segmenter.name),

@@ -1,8 +1,7 @@
-"""The generator as a graph of ONNX operators: one node for each layer, so that any ONNX runtime knows it.
-
-A translator of traced JAX programs would do, but jax2onnx 0.17 refuses the histogram of `inputs.ranks`, and pins an
-older orbax-checkpoint than training needs. The network is fifteen layers, so they are written down here. Maps are
-channels-first, as ONNX has them. Operators are those of opset 18 (2022), which onnxruntime 1.14 and later run.
+"""The generator as a graph of ONNX operators, one node for each layer, which any ONNX runtime can run.
+Translating the traced JAX program would be simpler, but jax2onnx 0.17 refuses the histogram of `inputs.ranks` and pins
+an older orbax-checkpoint than training needs. The network has only fifteen layers, so they are written out here. Maps
+are channels-first, as ONNX has them. Operators are those of opset 18 (2022), which onnxruntime 1.14 and later run.
 """
 
 from __future__ import annotations
@@ -19,19 +18,19 @@ from sonarjax.segment.normalise import EPSILON
 OPSET = 18
 """Version of ONNX's operators."""
 IR_VERSION = 8
-"""Version of ONNX's file format, the one of that opset: older runtimes refuse a newer one."""
+"""Version of ONNX's file format that belongs to this opset; older runtimes refuse a newer one."""
 
 
 class Graph:
-    """Nodes and constants as they are added; a value is known by its name."""
+    """A growing list of nodes and constants. Every value is referred to by its name."""
 
     def __init__(self) -> None:
-        """Nothing is in it yet."""
+        """Start with an empty graph."""
         self.nodes: list[Any] = []
         self.constants: list[Any] = []
 
     def constant(self, value: Any, dtype: Any = np.float32) -> str:
-        """Add an array of any shape; returns its name."""
+        """Add an array of any shape; return its name."""
         from onnx import numpy_helper
 
         name = f"constant{len(self.constants)}"
@@ -39,7 +38,9 @@ class Graph:
         return name
 
     def node(self, operator: str, *inputs: Any, result: str | None = None, **attributes: Any) -> str:
-        """Add an operator; returns its result's name, `result` if given. Inputs that are no names are constants."""
+        """Add an operator and return the name of its result, `result` if given. Inputs that are not names
+        become constants.
+        """
         from onnx import helper
 
         name = result or f"{operator.lower()}{len(self.nodes)}"
@@ -48,7 +49,7 @@ class Graph:
         return name
 
     def cast(self, value: str, dtype: Any) -> str:
-        """Add a change of type; returns the name of its result."""
+        """Add a change of type; return the name of its result."""
         from onnx import helper
 
         name = f"cast{len(self.nodes)}"
@@ -57,14 +58,20 @@ class Graph:
         return name
 
     def shape(self, *sizes: int) -> str:
-        """Add a constant of whole numbers, as shapes and axes are; returns its name."""
+        """Add a constant of whole numbers, such as a shape or axes; return its name."""
         return self.constant(sizes, np.int64)
 
 
 def add_generator(graph: Graph, module: Generator, variables: Mapping[str, Any], image: str) -> str:
-    """Add the network to `graph`; returns its output (batch, output, height, width), before the head's nonlinearity.
+    """Add the network to `graph`.
+    Args:
+        graph: The graph.
+        module: The network.
+        variables: Its variables, as `module.apply` takes them.
+        image: Name of the crops (batch, height, width) in [0, 1].
 
-    `image` names the frame's part (batch, height, width) in [0, 1]; `variables` are those of `module.apply`.
+    Returns:
+        Name of its output (batch, output, height, width), before the nonlinearity of the head.
     """
     params, statistics = variables["params"], variables["batch_stats"]
     x = add_network_input(graph, module.inputs, image)
@@ -76,7 +83,9 @@ def add_generator(graph: Graph, module: Generator, variables: Mapping[str, Any],
         x = graph.node("LeakyRelu", x, alpha=0.2)
         down.append(x)
     dense = params["Dense_0"]
-    kernel = np.asarray(dense["kernel"]).T[:, :, None, None]  # a layer of one pixel a patch: a 1 × 1 convolution
+    kernel = np.asarray(dense["kernel"]).T[
+        :, :, None, None
+    ]  # the map has one pixel: a dense layer is a 1 × 1 convolution
     x = graph.node("Relu", graph.node("Conv", x, kernel, dense["bias"]))
     for n in range(9, 16):
         parts = [x, down[15 - n]] if module.skips else [x]  # layer 16 − n, counted from 1
@@ -88,7 +97,7 @@ def add_generator(graph: Graph, module: Generator, variables: Mapping[str, Any],
 
 
 def add_network_input(graph: Graph, inputs: Inputs, image: str) -> str:
-    """Add `inputs.network_input` of `image` (batch, height, width) in [0, 1]; returns its name, channels first."""
+    """Add `inputs.network_input` of `image` (batch, height, width) in [0, 1]; return its name. Channels come first."""
     grey = graph.node("Sub", graph.node("Mul", image, 2.0), 1.0)
     if inputs == "grey":
         return graph.node("Unsqueeze", grey, graph.shape(1))
@@ -109,7 +118,7 @@ def _deviation(graph: Graph, grey: str) -> str:
 
 
 def _ranks(graph: Graph, flat: str) -> str:
-    """`inputs.ranks` of images in [0, 1] with their pixels in a row (batch, pixel)."""
+    """`inputs.ranks` of images in [0, 1] whose pixels are in one row (batch, pixel)."""
     place = graph.node("Mul", graph.node("Clip", flat, 0.0, 1.0), LEVELS - 1.0)
     level = graph.node("Min", graph.node("Floor", place), LEVELS - 2.0)
     part = graph.node("Sub", place, level)
@@ -129,13 +138,13 @@ def _ranks(graph: Graph, flat: str) -> str:
 
 
 def _convolution(graph: Graph, params: Mapping[str, Any], x: str) -> str:
-    """`layers.Down`: stride 2; a kernel of 4 × 4 is padded by 1, one of 2 × 2 is not."""
+    """`layers.Down`: stride 2; a 4 × 4 kernel is padded by 1, a 2 × 2 kernel is not."""
     kernel = np.asarray(params["kernel"]).transpose(3, 2, 0, 1)
     return graph.node("Conv", x, kernel, *_bias(params), strides=[2, 2], pads=[_padding(kernel)] * 4)
 
 
 def _transposed(graph: Graph, params: Mapping[str, Any], x: str) -> str:
-    """`layers.Up`: each pixel spreads over the kernel, stride 2; ONNX's transposed convolution does just that."""
+    """`layers.Up`: each pixel spreads over the kernel, stride 2, which is ONNX's transposed convolution."""
     kernel = np.asarray(params["kernel"]).transpose(3, 2, 0, 1)
     return graph.node("ConvTranspose", x, kernel, *_bias(params), strides=[2, 2], pads=[_padding(kernel)] * 4)
 

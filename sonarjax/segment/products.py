@@ -1,8 +1,7 @@
-"""The stride-2 4 × 4 layers as matrix products, down and up with their gradients, in one of two schemes.
-
-`winograd` multiplies less, `matmul` moves less. Both are a linear step on the large map (`gather`), one on the small
-map (`split`), one on the kernel, and matrix products between: each of the layers and gradients is two steps' outputs
-multiplied and the transpose of the third step.
+"""The stride-2 4 × 4 layers as matrix products, down and up, with their gradients, in one of two schemes.
+`winograd` multiplies less, `matmul` moves less data. Both consist of a linear step on the large map (`gather`), one on
+the small map (`split`), one on the kernel (`spread_kernel`), and matrix products. Each layer and each gradient
+multiplies the outputs of two steps, then applies the transpose of the third.
 """
 
 from __future__ import annotations
@@ -17,25 +16,25 @@ from jaxtyping import Array
 from sonarjax.segment import matmul, winograd
 
 THIN = 8
-"""Channels of the large map below which its tiles are too thin to be worth transforming."""
+"""With fewer channels in the large map, transforming its tiles does not pay."""
 TILES = 24
-"""Tiles of the whole batch below which transforming the kernel costs more than the products that it saves."""
+"""With fewer tiles in the batch, transforming the kernel costs more than the products that it saves."""
 
 
 def down(x: Array, kernel: Array) -> Array:
-    """Convolution (n, h, w, c) -> (n, h/2, w/2, f), stride 2, padding 1, kernel (4, 4, c, f)."""
+    """Convolution (n, h, w, c) -> (n, h/2, w/2, f) with stride 2, padding 1 and kernel (4, 4, c, f)."""
     n, h, w, c = x.shape
     return _down(scheme(n, h // 2, w // 2, c), x, kernel)
 
 
 def up(x: Array, kernel: Array) -> Array:
-    """Its transpose (n, h, w, f) -> (n, 2h, 2w, c) with the same kernel (4, 4, c, f)."""
+    """Transpose of `down`: (n, h, w, f) -> (n, 2h, 2w, c) with the same kernel (4, 4, c, f)."""
     n, h, w, _ = x.shape
     return _up(scheme(n, h, w, kernel.shape[2]), x, kernel)
 
 
 def scheme(n: int, h: int, w: int, channels: int) -> ModuleType:
-    """The scheme for a small map of (n, h, w) pixels and `channels` of the large one: `winograd` or `matmul`."""
+    """Choose `winograd` or `matmul` for a small map of (n, h, w) pixels and a large one of `channels`."""
     even = h % 2 == 0 and w % 2 == 0
     return winograd if even and channels >= THIN and n * h * w >= 4 * TILES else matmul
 
@@ -80,7 +79,7 @@ _up.defvjp(_up_forward, _up_backward)
 
 @jax.custom_vjp
 def product(a: Array, b: Array) -> Array:
-    """a · b with a gradient by `b` that XLA's CPU is quick at; JAX derives the product of two transposed matrices."""
+    """a · b with a gradient by `b` that XLA computes fast on a CPU; JAX's own multiplies two transposed matrices."""
     return a @ b
 
 

@@ -12,32 +12,32 @@ from sonarjax.io.errors import SonarjaxError
 EVIDENCE = (
     "map_fit", "frame_fit", "coarse_fit", "unexplained", "left_over", "map_rise", "frame_rise", "frame_peak",
 )  # fmt: skip
-"""What a rule may weigh: the fields of `refine.Evidence`, then what the score curves over yaw tell.
-
-`map_rise` is the best yaw bin's score on the map less that of the fourth best (its neighbours share its peak),
-`frame_rise` the same of matching the frame itself, and `frame_peak` is the best bin's score there."""
+"""What a rule may weigh: the fields of `refine.Evidence`, then three numbers from the score curves over yaw.
+`map_rise` is the score of the best yaw bin on the semantic map minus that of the fourth best (its neighbours share its
+peak). `frame_rise` is the same for matching the frame itself, and `frame_peak` is the best bin's score there.
+"""
 
 
 @dataclass(frozen=True)
 class IdentificationRule:
-    """The probability that the target is what a frame shows, and the least one that identifies it."""
+    """The probability that a frame shows the target, and the least probability that identifies it."""
 
     weights: tuple[float, ...]
-    """Weight of each number of `EVIDENCE` in the log-odds."""
+    """Weight of each item of `EVIDENCE` in the log-odds."""
     offset: float
-    """The log-odds where all of them are 0."""
+    """The log-odds if all items are 0."""
     threshold: float
     """Least probability of an identified target [1]."""
     false_alarms: float
-    """Share of other objects that were identified among the validation frames, at that threshold [1]."""
+    """Share of other objects among the validation frames that were identified at that threshold [1]."""
 
     def probability(self, evidence: Mapping[str, float]) -> float:
-        """Probability [1] that the target is shown, where targets and others are equally frequent."""
+        """Probability [1] that the target is shown, if targets and other objects are equally frequent."""
         odds = self.offset + sum(w * evidence[name] for w, name in zip(self.weights, EVIDENCE, strict=True))
         return 1 / (1 + math.exp(-min(max(odds, -50.0), 50.0))) if math.isfinite(odds) else 0.0
 
     def as_json(self) -> dict[str, Any]:
-        """The rule in JSON's own types: what a weights file's metadata hold under `rule`."""
+        """The rule in JSON types, as stored under `rule` in the metadata of a weights file."""
         return {
             "weights": dict(zip(EVIDENCE, self.weights, strict=True)),
             "offset": self.offset,
@@ -47,9 +47,9 @@ class IdentificationRule:
 
 
 def read_rule(found: Any, name: str) -> IdentificationRule | None:
-    """The rule that `as_json` gave; None where there is none.
-
-    Raises SonarjaxError that names the file, `name`, when it is no rule.
+    """Read a rule that `as_json` wrote; None if there is none. `name` is the file's name in messages.
+    Raises:
+        SonarjaxError: What was found is not a rule.
     """
     if found is None:
         return None
@@ -71,4 +71,4 @@ RULES: dict[str, IdentificationRule] = {
         false_alarms=0.133,
     )
 }
-"""Rules of segmenters that have no weights file, by name; experiments/fit_decision.py."""
+"""Rules of segmenters that have no weights file, by name; from experiments/fit_decision.py."""

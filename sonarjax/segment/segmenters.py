@@ -21,31 +21,33 @@ NETWORK = "pix2pix"
 SEGMENTERS = (NETWORK, *CLASSICAL)
 """Names that `load_segmenter` knows; it also takes the path of a weights file."""
 DEFAULT_SEGMENTER = NETWORK
-"""What `recognize` and the command line use unless told otherwise."""
+"""The segmenter that `recognize` and the command line use unless another is named."""
 
 
 @dataclass(frozen=True)
 class Segmenter:
-    """One way from a grey frame to a semantic map, ready for use."""
+    """A way from a grey frame to a semantic map, ready for use."""
 
     name: str
-    """Its name, or the weights file's."""
+    """Its name, or the path of its weights file."""
     threshold: float | None
-    """Least NCC of an identified target (eq. 5), from validation frames; None where nobody has measured it."""
+    """Least NCC of an identified target (eq. 5), from validation frames; None if it was never measured."""
     weights: GeneratorWeights | None = None
-    """The network; None for a classical one."""
+    """The network; None for a classical segmenter."""
     tile: tuple[int, int] = TILE
-    """Largest extent of a tile (range, beam) [pixels] that the network sees at once."""
+    """Largest size of a tile (range, beam) [pixels] that the network sees at once."""
     rule: IdentificationRule | None = None
-    """Decides about refined matches; None leaves that to the threshold."""
+    """Decides about refined matches; if None, the threshold decides."""
 
     def semantic(
         self, image: Float[np.ndarray, "range beam"], mask: Bool[np.ndarray, "range beam"] | None = None,
         engine: Engine = PLAIN,
     ) -> Float[np.ndarray, "range beam"]:  # fmt: skip
-        """What is matched (range, beam): shadow 0, background 0.5, highlight 1; a network's doubts lie between them.
-
-        `none` gives the grey frame itself. Pixels outside `mask` are background.
+        """Semantic map (range, beam) of a frame: shadow 0, background 0.5, highlight 1. A network's doubts lie between.
+        Args:
+            image: Grey frame (range, beam) in [0, 1]. For `none` it is also the result.
+            mask: True where the frame was measured (range, beam). Elsewhere the map is background.
+            engine: Runs the compiled functions.
         """
         if self.weights is not None:
             return np.array(engine.run(segment, image, self.weights, mask, tile=self.tile))
@@ -55,17 +57,18 @@ class Segmenter:
         self, image: Float[np.ndarray, "range beam"], mask: Bool[np.ndarray, "range beam"] | None = None,
         engine: Engine = PLAIN,
     ) -> UInt8[np.ndarray, "range beam"]:  # fmt: skip
-        """Labels (range, beam): 0 background, 1 highlight, 2 shadow; pixels outside `mask` are background."""
+        """Labels (range, beam) of a frame: 0 background, 1 highlight, 2 shadow. Arguments as in `semantic`."""
         if self.weights is None:
             return threshold_labels(image, self.name, mask)
         return from_grey(self.semantic(image, mask, engine))
 
 
 def load_segmenter(name: str | os.PathLike[str] = DEFAULT_SEGMENTER) -> Segmenter:
-    """The segmenter of a name in `SEGMENTERS`, or of a weights file that training wrote.
+    """Load the segmenter of a name in `SEGMENTERS`, or of a weights file that training wrote.
+    `help(sonarjax.segment)` says what each name stands for.
 
-    `help(sonarjax.segment)` says what each name stands for. Raises SonarjaxError when there is neither, or a file that
-    cannot be used.
+    Raises:
+        SonarjaxError: There is no such name or file, or the file cannot be used.
     """
     text = os.fspath(name)
     if text in CLASSICAL:
@@ -87,6 +90,6 @@ def _is_number(value: Any, optional: bool = False) -> bool:
 
 
 def check_segmenter(name: str) -> None:
-    """Raises SonarjaxError when a name is neither one of `SEGMENTERS` nor that of a weights file."""
+    """Raise a SonarjaxError unless `name` is one of `SEGMENTERS` or ends as a weights file does."""
     if name not in SEGMENTERS and not name.endswith(".safetensors"):
         raise SonarjaxError(f"segmenter: expected one of {', '.join(SEGMENTERS)} or a .safetensors file, got {name!r}")

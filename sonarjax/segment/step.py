@@ -1,8 +1,7 @@
-"""One step of training, as pure jitted functions of a `GanState`: pix2pix, and cross-entropy with the same U-Net.
-
-A step is two compiled functions, which XLA compiles sooner than one: the gradients (the maps, the discriminator's
-update, the generator's gradient), and then the generator's update. Every mean runs over the whole batch, so a batch
-that is sharded over devices gives the step of one device.
+"""One step of training as pure jitted functions of a `GanState`: pix2pix, or cross-entropy with the same U-Net.
+A step is two compiled functions, which XLA compiles faster than one. The first computes the gradients: the generated
+maps, the discriminator's update and the generator's gradient. The second updates the generator. Every mean runs over
+the complete batch, so a batch that is sharded over devices gives the same step as on one device.
 """
 
 from __future__ import annotations
@@ -36,20 +35,20 @@ Losses = dict[str, Float[Array, ""]]
 
 @dataclass(frozen=True)
 class GanConfig:
-    """What the networks are and how they are trained; hashable, so that it is static under `jax.jit`."""
+    """The networks and how they are trained. Hashable, so that it can be a static argument under `jax.jit`."""
 
     width: int = 64
     """Channels of the generator's first layer."""
     discriminator_width: int = 64
     """Channels of the discriminator's first layer."""
     multipliers: tuple[int, ...] = (1, 2, 4, 8, 8, 8, 8)
-    """Channels of the generator's seven layers on the way down, in units of `width`."""
+    """Channels of the generator's seven layers on the way down, as multiples of `width`."""
     head: Head = "tanh"
-    """The generator's output: `tanh` grey, or the logits of three `classes`."""
+    """The generator's output: `tanh` for grey, or `classes` for the logits of three classes."""
     skips: bool = True
-    """Skip connections of the generator."""
+    """Whether the generator has skip connections."""
     inputs: Inputs = "grey"
-    """What the generator is shown of an image: the `grey` itself, or `ranks`, which no display law changes."""
+    """What the generator is given of an image: the `grey` itself, or `ranks`, which no display law changes."""
     dtype: str = "float32"
     """Type of the maps: `float32`, or `bfloat16` for GPUs."""
     backend: Backend = "auto"
@@ -61,21 +60,21 @@ class GanConfig:
     beta2: float = 0.999
     """Adam's decay of the mean square."""
     distance: float = 100.0
-    """λ of eq. 3. The paper gives no number; with N affine, which halves differences, 100 is pix2pix's 50."""
+    """λ of eq. 3. The paper gives no number. The affine N halves differences, so 100 acts as 50 does in pix2pix."""
     normaliser: Normaliser = "affine"
     """N of eq. 3."""
     saturating: bool = False
-    """The generator minimises E[log(1 − D)] as printed, not −E[log D]."""
+    """If true, the generator minimises E[log(1 − D)] as printed in eq. 3, otherwise −E[log D]."""
     adversarial: float = 1.0
-    """Weight of the discriminator's verdict in the generator's loss."""
+    """Weight of the adversarial loss in the generator's loss."""
     cross_entropy: float = 0.0
-    """Weight of cross-entropy in the generator's loss, beside eq. 3; needs the head `classes`.
-
-    With one channel it is 0 whatever the map: a recipe that asks for it is refused."""
+    """Weight of cross-entropy in the generator's loss, in addition to eq. 3; needs the head `classes`.
+    With the head `tanh` cross-entropy would be 0 for any map, so `Recipe.checked` refuses it.
+    """
     class_weights: tuple[float, float, float] = (1.0, 1.0, 1.0)
     """Weights of background, highlight and shadow in cross-entropy."""
     ema_decay: float = 0.999
-    """Decay of the averaged generator, the one that is used; the first steps average over fewer."""
+    """Decay of the averaged generator, which is the one used for inference; the first steps average over fewer."""
 
     def generator(self) -> Generator:
         """The generator's module."""
@@ -94,10 +93,10 @@ class GanConfig:
 
 @record
 class GanState:
-    """Everything that training carries from step to step; a pytree with `config` static."""
+    """Everything that training carries from one step to the next; a pytree with static `config`."""
 
     step: Any
-    """Steps done, a whole number ()."""
+    """Number of steps done ()."""
     generator: Any
     """Parameters of the generator."""
     batch_stats: Any
@@ -109,20 +108,20 @@ class GanState:
     discriminator_optimiser: Any
     """Adam's state for the discriminator."""
     ema: Any
-    """Exponential average of `generator`."""
+    """Exponential moving average of `generator`."""
     ema_stats: Any
-    """The same average of `batch_stats`: the statistics that belong to `ema`, and less noisy ones."""
+    """The same average of `batch_stats`: the statistics that belong to `ema`, less noisy than the latest."""
     config: GanConfig = static()
-    """What was asked for."""
+    """How the networks are trained."""
 
     def weights(self) -> dict[str, Any]:
-        """Variables of the averaged generator, for `Generator.apply` in inference."""
+        """Variables of the averaged generator, as `Generator.apply` takes them for inference."""
         return {"params": self.ema, "batch_stats": self.ema_stats}
 
 
 @partial(jax.jit, static_argnames="config")
 def create_state(config: GanConfig, *, key: Array) -> GanState:
-    """Fresh networks, drawn from `key`, and their optimisers."""
+    """New networks, drawn from `key`, and their optimisers."""
     first, second = jax.random.split(key)
     image = jnp.zeros((1, 128, 128, 1))
     variables = draw_variables(config.generator(), image, key=first)
@@ -143,16 +142,16 @@ def create_state(config: GanConfig, *, key: Array) -> GanState:
 
 @record
 class Gradients:
-    """What a step finds before the generator moves; a pytree."""
+    """The result of the first half of a step, before the generator is updated; a pytree."""
 
     gradient: Any
     """Gradient of the generator's loss by its parameters."""
     batch_stats: Any
-    """The generator's moved running statistics."""
+    """The generator's updated running statistics."""
     discriminator: Any
-    """The moved discriminator."""
+    """The updated parameters of the discriminator."""
     discriminator_optimiser: Any
-    """Its optimiser's state."""
+    """The updated state of its optimiser."""
     losses: Losses
     """Losses by name."""
 
@@ -164,9 +163,15 @@ def train_step(
     *,
     key: Array,
 ) -> tuple[GanState, Losses]:
-    """One step of both networks on images `x` and semantic maps `y`, both (batch, height, width, 1) in [−1, 1].
+    """One training step of both networks.
+    Args:
+        state: The state before the step; it is donated.
+        x: Images (batch, height, width, 1) in [−1, 1].
+        y: Their semantic maps (batch, height, width, 1) in [−1, 1].
+        key: Draws the dropout.
 
-    Dropout is drawn from `key`. `state` is donated. Losses by name: those of `pix2pix_gradients`.
+    Returns:
+        The state after the step, and the losses by name, as in `pix2pix_gradients`.
     """
     gradients = pix2pix_gradients(state, x, y, key=key)
     return update(state, gradients), gradients.losses
@@ -179,10 +184,15 @@ def discriminative_step(
     *,
     key: Array,
 ) -> tuple[GanState, Losses]:
-    """One step of the paper's 'discriminative model': the U-Net alone (head `classes`) on class-weighted cross-entropy.
+    """One training step of the paper's 'discriminative model': the U-Net alone, on class-weighted cross-entropy.
+    Args:
+        state: The state before the step, with the head `classes`; it is donated.
+        x: Images (batch, height, width, 1) in [−1, 1].
+        labels: Their labels (batch, height, width).
+        key: Draws the dropout.
 
-    Images `x` (batch, height, width, 1) in [−1, 1], `labels` (batch, height, width), dropout from `key`. `state` is
-    donated. Loss by name: `cross_entropy`.
+    Returns:
+        The state after the step, and the loss `cross_entropy`.
     """
     gradients = discriminative_gradients(state, x, labels, key=key)
     return update(state, gradients), gradients.losses
@@ -196,11 +206,10 @@ def pix2pix_gradients(
     *,
     key: Array,
 ) -> Gradients:
-    """The gradients of pix2pix on images `x` and semantic maps `y`, both (batch, height, width, 1) in [−1, 1].
-
-    The generator's maps are made once (its dropout drawn from `key`) and serve both: the discriminator moves first, the
-    generator then answers the moved one. Losses by name: `discriminator`, `adversarial`, `distance`, and
-    `cross_entropy` where it has a weight.
+    """The gradients of pix2pix. Arguments as in `train_step`, images and maps (batch, height, width, 1).
+    The generator runs once, with dropout drawn from `key`, and both networks use its maps: first the discriminator is
+    updated, then the generator's gradient is taken against the updated one. The losses are `discriminator`,
+    `adversarial`, `distance`, and `cross_entropy` if it has a weight.
     """
     config = state.config
     generate = partial(_generate, config, state.batch_stats, x, key)
@@ -240,10 +249,9 @@ def discriminative_gradients(
     *,
     key: Array,
 ) -> Gradients:
-    """The gradients of the discriminative model, in which the discriminator rests.
-
-    Images `x` (batch, height, width, 1) in [−1, 1], `labels` (batch, height, width), dropout from `key`. Loss by name:
-    `cross_entropy`.
+    """The gradients of the discriminative model; the discriminator stays as it is.
+    Arguments as in `discriminative_step`: images (batch, height, width, 1) and labels (batch, height, width). The loss
+    is `cross_entropy`.
     """
     config = state.config
 
@@ -256,7 +264,9 @@ def discriminative_gradients(
 
 
 def update(state: GanState, gradients: Gradients) -> GanState:
-    """The state after a step: the discriminator as updated, the generator updated by Adam. `state` is donated."""
+    """The state after a step: takes over the updated discriminator, and updates the generator by Adam. `state`
+    is donated.
+    """
     updated = replace(
         state, discriminator=gradients.discriminator, discriminator_optimiser=gradients.discriminator_optimiser
     )
@@ -278,7 +288,7 @@ def _discriminate(config: GanConfig, x: Array, y: Array, params: Any) -> Array:
 def _update_generator(state: GanState, gradient: Any, batch_stats: Any) -> GanState:
     config = state.config
     params, optimiser = _adam(config, gradient, state.generator_optimiser, state.generator)
-    # With few steps done their plain mean is better than an average that remembers the draw of the weights.
+    # After few steps, a plain mean is better than an average that still contains the initial weights.
     decay = jnp.minimum(config.ema_decay, (1 + state.step) / (10 + state.step))
 
     def average(old: Any, new: Any) -> Any:

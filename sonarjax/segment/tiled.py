@@ -1,8 +1,8 @@
-"""A whole frame through a generator that was trained on patches: tiles first, then a closer look at each object.
-
-Tiles have the size of the frames that training pairs are cut from, so a pixel means there what it meant in training. A
-closer look is a crop around what the tiles show, the main kind of training crop (see `data.crops.CROP_SHARES`); it is
-taken as it is and mirrored, and the mean of both answers counts.
+"""Tiled inference: a frame of any size through a generator that was trained on crops, then a closer look at each
+object.
+Tiles have the size of the frames from which training pairs are cut, so a pixel covers as much of the scene as it did in
+training. A closer look is a crop around an object that the tiles show, the main kind of training crop (see
+`data.crops.CROP_SHARES`). The network sees it once as it is and once mirrored, and the two answers are averaged.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from sonarjax.segment.objects import find_objects
 from sonarjax.segment.weights import GeneratorWeights, segment_patch
 
 TILE = (PairSettings.n_ranges, PairSettings.n_beams)
-"""Largest extent of a tile (range, beam) [pixels]."""
+"""Largest size of a tile (range, beam) [pixels]."""
 CLOSER = 3
-"""Objects that are looked at closely, at most."""
+"""Most objects that get a closer look."""
 MARGIN, MARGIN_OF_FRAME = 0.15, 0.015
-"""Margin on each side of a closer look, in extents of the object plus extents of the frame: a quarter of the largest
-that a training crop has (see `data.crops`)."""
+"""Margin on each side of a closer look: `MARGIN` times the object's extent plus `MARGIN_OF_FRAME` times the frame's.
+This is a quarter of the largest margin of a training crop (see `data.crops`)."""
 BACKGROUND = 0.5
 
 
@@ -36,11 +36,11 @@ class _Seen(NamedTuple):
     sums: Float[Array, "2 range beam"]
     """Weighted sum of the tiles' maps, and sum of the weights."""
     grey: Float[Array, "range beam"]
-    """The map, once all tiles are in."""
+    """The semantic map, once all tiles are in."""
     boxes: Float[Array, "look 4"]
-    """Where each look is: top, left, rows and columns. Those of closer looks are known after the tiles."""
+    """Place of each look: top, left, rows and columns. Closer looks get theirs after the last tile."""
     wanted: Bool[Array, "look"]
-    """False for closer looks for which there is no object."""
+    """False for a closer look without an object."""
 
 
 @partial(jax.jit, static_argnames=("closer", "tile"))
@@ -52,11 +52,17 @@ def segment(
     closer: int = CLOSER,
     tile: tuple[int, int] = TILE,
 ) -> Float[Array, "range beam"]:
-    """Semantic grey (range, beam) of a frame (range, beam) in [0, 1]: shadow 0, background 0.5, highlight 1.
+    """Semantic map (range, beam) of a frame, by tiled inference: shadow 0, background 0.5, highlight 1.
+    A pure function; use `jax.vmap` for a batch of frames.
 
-    A pure function: a batch of frames is one `jax.vmap`. Pixels outside `mask` are background; the network sees the
-    median of what was measured there: floor, mostly. Dark pixels would make a highlight of the floor beside them. Tiles
-    are at most `tile` (range, beam) large; `closer` is how many objects are looked at closely, at most.
+    Args:
+        image: Grey frame (range, beam) in [0, 1].
+        weights: The network.
+        mask: True where the frame was measured (range, beam). Elsewhere the map is background, and the network is given
+            the median of the measured pixels, which is mostly floor. Dark pixels there would make the floor beside them
+            look like highlight.
+        closer: Most objects that get a closer look.
+        tile: Largest size of a tile (range, beam) [pixels].
     """
     image = jnp.asarray(image, jnp.float32)
     seen = image if mask is None else jnp.where(mask, image, _median(image, mask))
@@ -74,7 +80,7 @@ def segment(
         patch = cut_box(seen, box)
         pair = jnp.stack([patch, patch[:, ::-1]])
         wanted = state.wanted[k] & jnp.stack([jnp.bool_(True), ~is_tile])
-        # One look in one place, a tile or a closer one, mirrored or not: the network is compiled once.
+        # Tiles and closer looks, mirrored or not, all go through this one call, so the network is compiled once.
         plain, mirrored = jax.lax.map(lambda job: _ask(weights, *job), (pair, wanted))
         answer = jnp.where(is_tile, plain, (plain + mirrored[:, ::-1]) / 2)
         state = jax.lax.cond(is_tile, _blend, _paste, state, answer, box, state.wanted[k])
@@ -88,17 +94,17 @@ def segment(
 def _ask(
     weights: GeneratorWeights, patch: Float[Array, "height width"], wanted: Bool[Array, ""]
 ) -> Float[Array, "height width"]:
-    """The network's answer to a patch; nothing is computed where none is wanted."""
+    """The network's answer to a crop; if it is not wanted, nothing is computed."""
     return jax.lax.cond(wanted, lambda p: segment_patch(weights, p[None])[0], jnp.zeros_like, patch)
 
 
 def _median(image: Float[Array, "range beam"], mask: Bool[Array, "range beam"]) -> Float[Array, ""]:
-    """Median of the measured pixels, 0.5 where there is none."""
+    """Median of the measured pixels; 0.5 if there are none."""
     return jnp.nan_to_num(jnp.nanmedian(jnp.where(mask, image, jnp.nan)), nan=BACKGROUND)
 
 
 def _tiles(shape: tuple[int, ...], tile: tuple[int, int]) -> Float[np.ndarray, "tile 4"]:
-    """Boxes that cover a frame, neighbours half over one another: top, left, rows and columns of each."""
+    """Boxes that cover a frame, each overlapping half of its neighbour: top, left, rows and columns."""
     starts = []
     for size, most in zip(shape, tile, strict=True):
         count = max(-(-2 * (size - most) // most), 0) + 1
@@ -109,7 +115,7 @@ def _tiles(shape: tuple[int, ...], tile: tuple[int, int]) -> Float[np.ndarray, "
 
 
 def _blend(state: _Seen, answer: Float[Array, "height width"], box: Box, wanted: Any) -> _Seen:
-    """One more tile's map joins the sums: it counts most in its middle."""
+    """Add the map of one more tile to the sums, with the greatest weight in its middle."""
     ramps = [np.minimum(np.arange(n) + 0.5, n - np.arange(n) - 0.5) / n for n in PATCH]
     shape = state.grey.shape[0], state.grey.shape[1]
     share = paste_patch(jnp.asarray(ramps[0][:, None] * ramps[1], jnp.float32), box, shape, 0.0)
@@ -117,7 +123,7 @@ def _blend(state: _Seen, answer: Float[Array, "height width"], box: Box, wanted:
 
 
 def _after_tiles(state: _Seen, mask: Bool[Array, "range beam"] | None, closer: int) -> _Seen:
-    """The map of all tiles, and where closer looks are worth their while: the clearest object last."""
+    """The map from all tiles, and the boxes of the closer looks, the clearest object last."""
     total, shares = state.sums
     grey = total / shares
     grey = grey if mask is None else jnp.where(mask, grey, BACKGROUND)
@@ -133,9 +139,9 @@ def _after_tiles(state: _Seen, mask: Bool[Array, "range beam"] | None, closer: i
 
 
 def _paste(state: _Seen, answer: Float[Array, "height width"], box: Box, wanted: Bool[Array, ""]) -> _Seen:
-    """A closer look's map takes the place of what was there, in the pixels that lie wholly inside its box.
-
-    Where it is the less sure of the two, their mean does: what the look cuts off is not lost.
+    """Replace the map by a closer look's answer, in the pixels that lie completely inside its box.
+    Where the closer look is less sure than the map, their mean is used, so that an object that its box cuts off is not
+    lost.
     """
     shape = state.grey.shape[0], state.grey.shape[1]
     look = paste_patch(answer, box, shape)
@@ -145,7 +151,7 @@ def _paste(state: _Seen, answer: Float[Array, "height width"], box: Box, wanted:
 
 
 def box_around(bounds: Int[Array, "4"], shape: tuple[int, ...]) -> Box:
-    """A box around pixels (top, left, bottom, right) with the margins of a closer look, inside a frame of `shape`."""
+    """A box around pixels (top, left, bottom, right), with the margins of a closer look, inside a frame of `shape`."""
     starts, sizes = [], []
     for axis, (size, least) in enumerate(zip(shape, LEAST, strict=True)):
         low, high = bounds[axis], bounds[axis + 2]
@@ -157,7 +163,7 @@ def box_around(bounds: Int[Array, "4"], shape: tuple[int, ...]) -> Box:
 
 
 def pixels_inside(box: Box, shape: tuple[int, int]) -> Bool[Array, "range beam"]:
-    """True for the pixels of a frame of `shape` (range, beam) that lie wholly inside a box."""
+    """Which pixels (range, beam) of a frame of `shape` lie completely inside a box."""
     rows, columns = (jnp.arange(n) for n in shape)
     inside_rows = (rows >= jnp.ceil(box.top)) & (rows < jnp.floor(box.top + box.rows))
     inside_columns = (columns >= jnp.ceil(box.left)) & (columns < jnp.floor(box.left + box.columns))

@@ -1,7 +1,6 @@
-"""A trained generator in a file and in use: saved, loaded (the shipped one by default), run on patches.
-
-Networks are stored by the names of their places (`params.down1.kernel`), kernels in half precision. What a network is
-(width, head, skips) is read off the shapes of its arrays, so a file cannot contradict itself.
+"""A trained generator: saved to a file, loaded (the shipped one by default) and applied to crops.
+Arrays are stored under the names of their places in the network (`params.down1.kernel`), kernels in half precision. The
+network's properties (width, head, skips) are derived from the shapes of its arrays, so a file cannot contradict itself.
 """
 
 from __future__ import annotations
@@ -26,19 +25,19 @@ from sonarjax.segment.generator import Generator, Head, to_grey
 from sonarjax.segment.inputs import CHANNELS, Inputs
 
 Storage = Literal["float16", "float32"]
-"""How kernels are stored: weights are about 0.02, where float16 has eight times the precision of bfloat16."""
+"""Type in which kernels are stored. Weights are about 0.02, where float16 has eight times the precision of bfloat16."""
 INPUT = "grey in [0, 1], 128 x 128, range x beam; shadow 0, background 0.5, highlight 1 out"
-"""What a network takes and gives, as its file says it."""
+"""What a network takes and gives, as written in its file."""
 SHIPPED = "weights"
-"""Folder of the package, beside this file, that holds the shipped network."""
+"""Folder beside this file that holds the shipped network."""
 
 
 @record
 class GeneratorWeights:
-    """A generator ready for use; a pytree, with the network's shape static."""
+    """A generator ready for use; a pytree whose network structure is static."""
 
     variables: Any
-    """Parameters and running statistics, for `module.apply`."""
+    """Parameters and running statistics, as `module.apply` takes them."""
     module: Generator = static()
     """The network."""
 
@@ -46,16 +45,21 @@ class GeneratorWeights:
 def save_generator(
     path: str | os.PathLike[str], variables: Any, about: Mapping[str, Any], storage: Storage = "float16"
 ) -> None:
-    """Write a generator's `variables` and `about` them (recipe, seed, versions, metrics: JSON's types); all or nothing.
+    """Write a generator to a file, all or nothing.
+    Args:
+        path: The file.
+        variables: The generator's variables. Kernels are stored as `storage`, smaller arrays as float32.
+        about: What to store beside them, in JSON types: recipe, seed, versions, metrics.
+        storage: Type of the kernels.
 
-    Kernels are stored as `storage`, everything thinner as float32. Raises SonarjaxError when a weight is not finite in
-    that type, or the file cannot be written.
+    Raises:
+        SonarjaxError: A weight is not finite in that type, or the file cannot be written.
     """
     flat, _ = jax.tree_util.tree_flatten_with_path(variables)
     arrays = {}
     for place, leaf in flat:
         name = jax.tree_util.keystr(place, simple=True, separator=".")
-        with np.errstate(over="ignore"):  # said below, with the name of the array
+        with np.errstate(over="ignore"):  # reported below, with the name of the array
             arrays[name] = np.asarray(leaf).astype(jnp.dtype(storage) if np.ndim(leaf) > 1 else np.float32)
         if not np.isfinite(arrays[name].astype(np.float32)).all():
             raise SonarjaxError(f"{os.fspath(path)}: {name}: not finite as {storage}")
@@ -63,11 +67,11 @@ def save_generator(
 
 
 def load_generator(path: str | os.PathLike[str] | None = None) -> GeneratorWeights:
-    """The generator of a file that `save_generator` wrote, in float32; without `path` the one shipped with the package.
-
+    """Load a generator that `save_generator` wrote, in float32; without `path`, the one shipped with the package.
     The shipped file is not checked against the network: that takes a second, and a test does it.
 
-    Raises SonarjaxError when the file is missing or damaged, or its arrays are not those of a generator.
+    Raises:
+        SonarjaxError: The file is missing or damaged, or its arrays are not those of a generator.
     """
     shipped = path is None
     path = shipped_path() if path is None else path
@@ -81,7 +85,7 @@ def load_generator(path: str | os.PathLike[str] | None = None) -> GeneratorWeigh
 
 
 def _nested(arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
-    """Variables for `module.apply` from arrays by the names of their places, in float32."""
+    """Variables for `module.apply`, in float32, from arrays named by their places."""
     variables: dict[str, Any] = {}
     for place, array in arrays.items():
         *folders, leaf = place.split(".")
@@ -93,7 +97,7 @@ def _nested(arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
 
 
 def _check_arrays(arrays: Mapping[str, np.ndarray], module: Generator, name: str) -> None:
-    """Raises SonarjaxError when the arrays are not those of the network."""
+    """Raise a SonarjaxError unless the arrays are those of the network."""
     image = jax.ShapeDtypeStruct((1, 128, 128, 1), jnp.float32)
     expected = jax.eval_shape(module.init, jax.random.key(0), image)
     flat, _ = jax.tree_util.tree_flatten_with_path(expected)
@@ -107,7 +111,10 @@ def _check_arrays(arrays: Mapping[str, np.ndarray], module: Generator, name: str
 
 
 def shipped_path() -> Path:
-    """The weights file that came with the package. Raises SonarjaxError when there is none, or more than one."""
+    """Path of the weights file that came with the package.
+    Raises:
+        SonarjaxError: There is no such file, or more than one.
+    """
     folder = resources.files("sonarjax.segment") / SHIPPED
     found = sorted(Path(str(folder)).glob("*.safetensors"))
     if len(found) != 1:
@@ -116,7 +123,7 @@ def shipped_path() -> Path:
 
 
 def _module_of(arrays: Mapping[str, np.ndarray], name: str) -> Generator:
-    """The network whose arrays these are, from the shapes of a few; the rest is checked against it afterwards."""
+    """The network that has these arrays, from the shapes of a few; `_check_arrays` checks the rest."""
     try:
         features = [arrays[f"params.down{n}.kernel"].shape[3] for n in range(1, 8)]
         output, channels = arrays["params.up15.kernel"].shape[2:]
@@ -133,10 +140,12 @@ def _module_of(arrays: Mapping[str, np.ndarray], name: str) -> Generator:
 def segment_patch(
     weights: GeneratorWeights, images: Float[Array, "patch height width"], *, engine: Engine = PLAIN
 ) -> Float[Array, "patch height width"]:
-    """Semantic grey of `images`, both (patch, height, width) in [0, 1]: shadow 0, background 0.5, highlight 1.
+    """Semantic maps of `images`, both (patch, height, width) in [0, 1]: shadow 0, background 0.5, highlight 1.
+    Images are crops or a padded frame; height and width are multiples of 128. There is no dropout: the answer is the
+    mean.
 
-    Height and width are multiples of 128: patches, or a padded frame. No dropout: the mean answer. Raises
-    SonarjaxError for another size.
+    Raises:
+        SonarjaxError: The size is not a multiple of 128.
     """
     return engine.run(_segment_patch, weights.variables, images, module=weights.module)
 

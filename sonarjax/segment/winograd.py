@@ -1,12 +1,11 @@
 """The stride-2 4 × 4 layers as matrix products with fewer multiplications, for CPUs (Winograd 1980, minimal filtering).
+A stride-2 convolution by 4 × 4 is a stride-1 convolution by 2 × 2 on blocks of 2 × 2 pixels. Along one axis, two
+outputs of the latter take three products instead of four: y₀ = d₀g₀ + d₁g₁ = (d₀ − d₁)g₀ + d₁(g₀ + g₁) and y₁ = d₁g₀ +
+d₂g₁ = d₁(g₀ + g₁) + (d₂ − d₁)g₁. Along both axes this leaves nine matrix products over the channels, 9/16 of the work.
+They read 9/4 times the data of the map, while plain windows would copy it four times. Only sums and differences are
+added, so rounding errors stay those of plain products. The transposed layer is the transpose of this.
 
-A stride-2 convolution by 4 × 4 is one of stride 1 by 2 × 2 on blocks of 2 × 2 pixels. Along one axis two outputs of
-that take three products where the definition takes four: y₀ = d₀g₀ + d₁g₁ = (d₀ − d₁)g₀ + d₁(g₀ + g₁) and
-y₁ = d₁g₀ + d₂g₁ = d₁(g₀ + g₁) + (d₂ − d₁)g₁. Along both axes that leaves nine matrix products over the channels, 9/16
-of the work, and the data that they read is 9/4 of the map where plain windows would copy it four times over. Only sums
-and differences are added, so rounding stays that of the products. The transposed layer is the transpose of this.
-
-A *tile* is 2 × 2 pixels of the small map and 4 × 4 of the large one; `products` composes the steps.
+A *tile* is 2 × 2 pixels of the small map and 4 × 4 pixels of the large one. `products` composes the steps.
 """
 
 from __future__ import annotations
@@ -20,10 +19,10 @@ Nine = list[Array]
 
 
 def gather(x: Array) -> Nine:
-    """Large map (n, 4t, 4u, c) -> nine times (tile, 4c): each tile's 6 × 6 pixels as 3 × 3 blocks, then differences."""
+    """Large map (n, 4t, 4u, c) -> nine of (tile, 4c): each tile's 6 × 6 pixels as 3 × 3 blocks, then differences."""
     n, h, w, c = x.shape
     pairs = jnp.pad(x, ((0, 0), (1, 1), (1, 1), (0, 0))).reshape(n, h + 2, w // 2 + 1, 2 * c)
-    # The pairs of columns lie together already; a concatenation joins the rows, as fast as memory is.
+    # Pairs of columns are adjacent in memory already. Concatenation joins pairs of rows, as fast as memory allows.
     blocks = jnp.concatenate([pairs[:, ::2], pairs[:, 1::2]], -1)  # (n, block row, block column, 4c)
     rows = _differences(blocks[:, :-1:2], blocks[:, 1::2], blocks[:, 2::2])
     nine = [v for r in rows for v in _differences(r[:, :, :-1:2], r[:, :, 1::2], r[:, :, 2::2])]
@@ -35,7 +34,7 @@ def _differences(first: Array, middle: Array, last: Array) -> Nine:
 
 
 def scatter(nine: Nine, small: tuple[int, int, int]) -> Array:
-    """Transpose of `gather`: nine times (tile, 4c) -> large map (n, 4t, 4u, c), sums where tiles overlap."""
+    """Transpose of `gather`: nine of (tile, 4c) -> large map (n, 4t, 4u, c), summed where tiles overlap."""
     n, t, u = small[0], small[1] // 2, small[2] // 2
     c = nine[0].shape[-1] // 4
     maps = [v.reshape(n, t, u, 2, 2, c) for v in nine]
@@ -45,7 +44,7 @@ def scatter(nine: Nine, small: tuple[int, int, int]) -> Array:
 
 
 def _overlap(first: Array, middle: Array, last: Array, axis: int) -> Nine:
-    """The four pixels of a tile along an axis; the outer two also get their part from the neighbouring tile."""
+    """The four pixels of a tile along an axis. The outer two also receive a part from the neighbouring tile."""
     inner = middle - first - last
 
     def pixel(v: Array, k: int) -> Array:
@@ -66,7 +65,7 @@ def join(nine: Nine, small: tuple[int, int, int]) -> Array:
 
 
 def split(y: Array) -> Nine:
-    """Transpose of `join`: small map (n, 2t, 2u, f) -> nine times (tile, f)."""
+    """Transpose of `join`: small map (n, 2t, 2u, f) -> nine of (tile, f)."""
     rows = _sums(y[:, ::2], y[:, 1::2])
     return [v.reshape(-1, y.shape[-1]) for r in rows for v in _sums(r[:, :, ::2], r[:, :, 1::2])]
 

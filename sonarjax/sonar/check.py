@@ -1,6 +1,5 @@
-"""The one check that every sonar made from a preset or a file passes: finite numbers that a device can have.
-
-Traced values (under jit, grad or vmap) are skipped: only numbers that are known can be judged.
+"""The check that every sonar from a preset or a file must pass: finite numbers that a device can have.
+Traced values (under jit, grad or vmap) are skipped, because their numbers are not known.
 """
 
 from __future__ import annotations
@@ -16,17 +15,19 @@ from sonarjax.io.header import RANGE_LIMIT_M
 from sonarjax.sonar.model import GeometryStd, Sonar
 
 MAX_RANGES = 100_000
-"""More range bins than any device stores: taken for a mistake."""
+"""More range bins than any device stores; a larger number is taken for a mistake."""
 MAX_BEAMS = 10_000
-"""More beams than any device forms: taken for a mistake."""
+"""More beams than any device forms; a larger number is taken for a mistake."""
 MAX_PIXELS = 2**24
-"""Most pixels of an image, beams times range bins, eight times the largest device's: rendering 10⁹ ends the process."""
+"""Most pixels of an image, beams times range bins: eight times the largest device. Rendering 10⁹ would exhaust
+the memory.
+"""
 MIN_RANGE_BIN_M = 1e-6
-"""Shortest range bin [m]; at 3 MHz a wave is 500 times as long."""
+"""Shortest range bin [m]; a wave of 3 MHz is 500 times as long."""
 FLOOR_LIMIT_M = 1e5
-"""Largest coordinate and side of a floor patch [m]: beyond the farthest range a patch is as good as endless."""
+"""Largest coordinate and side of a floor patch [m]; a patch beyond the farthest range is as good as endless."""
 SMALLEST = float(np.finfo(np.float32).tiny)
-"""Smaller numbers are 0 in the renderer's arithmetic."""
+"""Numbers smaller than this are 0 in the renderer's arithmetic."""
 
 
 class _Rule(NamedTuple):
@@ -68,11 +69,13 @@ _STD_RULES = tuple(
 
 
 def check_sonar(sonar: Sonar, source: str, names: Mapping[str, str] | None = None) -> Sonar:
-    """The same sonar, when every value is possible; `source` and `names` (field -> key) are used in messages.
+    """Return `sonar` unchanged if every value is possible; `source` and `names` (field -> key) appear in messages.
+    Traced values are not checked.
 
-    Raises SonarjaxError naming the first field that is not: a wrong type, NaN or infinite, out of its limits, azimuths
-    that do not ascend, too many pixels, or a window that ends before it starts or whose range bins float32 cannot tell
-    apart. Traced values are not judged.
+    Raises:
+        SonarjaxError: A field has the wrong type, is NaN or infinite, or lies outside its limits; azimuths do not
+            ascend; there are too many pixels; or the range window ends before it starts, or has range bins too short
+            for float32. The message names the first such field.
     """
     names = names or {}
     for rule in _RULES:
@@ -112,7 +115,7 @@ def _check_number(value: Any, rule: _Rule, source: str, name: str) -> None:
 
 
 def as_numbers(value: Any) -> np.ndarray | None:
-    """The value as float64 of any shape, or None where it is no number (text, bool, ragged list, complex)."""
+    """The value as float64 of any shape, or None if it is not numeric (text, bool, ragged list, complex)."""
     try:
         array = np.asarray(value)
         return array.astype(np.float64) if array.dtype.kind in "iuf" else None
@@ -121,7 +124,7 @@ def as_numbers(value: Any) -> np.ndarray | None:
 
 
 def check_count(count: Any, source: str, name: str = "n_ranges") -> None:
-    """Raises SonarjaxError unless `count` is a whole number of range bins that a device can have."""
+    """Raise a SonarjaxError unless `count` is a whole number of range bins that a device can have."""
     if isinstance(count, bool) or not isinstance(count, int | np.integer):
         raise SonarjaxError(f"{source}: {name} must be a whole number, got {count!r}")
     if not 1 <= count <= MAX_RANGES:
@@ -129,7 +132,7 @@ def check_count(count: Any, source: str, name: str = "n_ranges") -> None:
 
 
 def check_azimuth(azimuth: Any, source: str, name: str = "azimuth") -> None:
-    """Raises SonarjaxError unless `azimuth` (beam,) [rad] is finite, within ±90° and strictly ascending (or traced)."""
+    """Raise a SonarjaxError unless `azimuth` (beam,) [rad] is finite, within ±90° and strictly ascending, or traced."""
     if _traced(azimuth):
         return
     angles = as_numbers(azimuth)
@@ -160,7 +163,7 @@ def _check_window(sonar: Sonar, source: str, names: Mapping[str, str]) -> None:
     first, last = (names.get(field, field) for field in ("range_min", "range_max"))
     if not np.all(near < far):
         raise SonarjaxError(f"{source}: {first} must be less than {last}, got {near} and {far}")
-    # Two steps of float32 keep the edges of a bin apart, however both are rounded.
+    # At least two steps of float32 keep the edges of a bin apart, whichever way they are rounded.
     shortest = np.maximum(MIN_RANGE_BIN_M, 2 * np.spacing(far.astype(np.float32)).astype(np.float64))
     bins = (far - near) / sonar.n_ranges
     if np.any(bins < shortest):

@@ -32,40 +32,41 @@ class FloorPatch:
 
 @record
 class GeometryStd:
-    """How well a sonar's geometry is known: standard deviations, as a calibration gives them; 0 where none is stated.
-
-    `range_scale`, `azimuth_scale`, `beam_bend` and `beam_skew` are those of `sonarjax.calibrate.PARAMETERS`.
+    """How well a sonar's geometry is known: standard deviations, for example from a calibration; 0 where none is
+    stated.
+    `range_scale`, `azimuth_scale`, `beam_bend` and `beam_skew` are the parameters of that name in
+    `sonarjax.calibrate.PARAMETERS`.
     """
 
     tilt: Scalar = 0.0
-    """Of the tilt [rad]."""
+    """Standard deviation of the tilt [rad]."""
     roll: Scalar = 0.0
-    """Of the roll [rad]."""
+    """Standard deviation of the roll [rad]."""
     height: Scalar = 0.0
-    """Of the height [m]."""
+    """Standard deviation of the height [m]."""
     elevation_aperture: Scalar = 0.0
-    """Of the vertical aperture [rad]."""
+    """Standard deviation of the vertical aperture [rad]."""
     range_offset: Scalar = 0.0
-    """Of an offset of all ranges [m]."""
+    """Standard deviation of an offset of all ranges [m]."""
     range_scale: Scalar = 0.0
-    """Of a factor on all ranges [1]."""
+    """Standard deviation of a factor on all ranges [1]."""
     azimuth_scale: Scalar = 0.0
-    """Of a factor on all beam angles [1]."""
+    """Standard deviation of a factor on all beam angles [1]."""
     beam_bend: Scalar = 0.0
-    """Of an unevenness of the beam angles, the same on both sides [1]."""
+    """Standard deviation of uneven beam spacing that is symmetric about the axis [1]."""
     beam_skew: Scalar = 0.0
-    """Of one that is not [1]."""
+    """Standard deviation of uneven beam spacing that differs from port to starboard [1]."""
 
 
 @record
 class Sonar:
     """An imaging sonar at (0, 0, height), tilted down by `tilt`; a pytree, differentiable in every float.
-
-    Images have shape (range, beam): rows from near to far, columns in ascending azimuth (column 0 is starboard-most).
+    Its images have shape (range, beam): rows from near to far, columns in ascending azimuth (column 0 is
+    starboard-most).
     """
 
     azimuth: Float[Array, "*batch beam"]
-    """Beam centres in ascending order, growing to port [rad]; need not be evenly spaced."""
+    """Beam centres in ascending order, growing to port [rad]; they may be unevenly spaced."""
     range_min: Scalar
     """Near edge of the first range bin [m]."""
     range_max: Scalar
@@ -83,29 +84,33 @@ class Sonar:
     sound_speed: Scalar = 1480.0
     """Speed of sound in water [m/s]."""
     pulse_length: Scalar = 0.0
-    """Length of a pulse in range, c·t/2 [m]; never counted shorter than one range bin."""
+    """Length of a pulse in range, c·t/2 [m]; at least one range bin is used."""
     beam_width: Scalar = 0.0
-    """Azimuth width of one beam at -3 dB [rad]; 0 means its spacing."""
+    """Width in azimuth of one beam at −3 dB [rad]; 0 means the beam spacing."""
     spreading_exponent: Scalar = 2.0
     """n in intensity ∝ 1/rⁿ; 2 is eq. 2 of the paper."""
     absorption: Scalar = 0.0
     """One-way absorption [dB/m]; 0 as in eq. 2."""
     lambert: Scalar = 0.0
-    """Exponent of cos(incidence) in the echo's strength; 0 as in eq. 2, 1 or 2 for Lambert's law."""
+    """Exponent of cos(incidence) in the strength of an echo; 0 as in eq. 2, 1 or 2 for Lambert's law."""
     floor: FloorPatch | None = None
-    """A platform instead of an endless floor."""
+    """A platform instead of an endless floor; None for the endless floor."""
     geometry_std: GeometryStd | None = None
-    """How well the geometry is known, where that is stated; rendering does not look at it."""
+    """How well the geometry is known, if that is stated. Rendering does not use it."""
     n_ranges: int = field(default=512, metadata={"static": True})
     """Number of range bins."""
     highlight_max_incidence: float = field(default=90.0, metadata={"static": True})
-    """Facets struck at a larger angle from their normal give no highlight [deg]; 90 switches this off. Static."""
+    """Largest angle of incidence, from a facet's normal, that still gives highlight [deg]; 90 for any. Static."""
 
     @classmethod
     def preset(cls, name: str, **overrides: Any) -> Sonar:
-        """A device by name (see `sonarjax.sonar.PRESETS`), fields replaced by `overrides` (metres and radians).
+        """Make a device by name, with some fields replaced.
+        Args:
+            name: A name in `sonarjax.sonar.PRESETS`.
+            overrides: Values for fields of `Sonar`, in metres and radians.
 
-        Raises SonarjaxError for an unknown name or field.
+        Raises:
+            SonarjaxError: The name or a field is unknown, or a value is impossible.
 
         >>> Sonar.preset("didson-hf", n_ranges=256).shape
         (256, 96)
@@ -116,22 +121,26 @@ class Sonar:
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Sonar:
-        """Read `sonar.toml` (angles in degrees where the key says `_deg`).
-
-        Raises SonarjaxError naming the file and the key for unknown keys, missing keys and impossible values.
+        """Read a `sonar.toml`, in which angles are in degrees where the key says `_deg`.
+        Raises:
+            SonarjaxError: A key is unknown or missing, or a value is impossible. The message names the file and the
+                key.
         """
         from sonarjax.sonar.toml import read_sonar
 
         return read_sonar(path)
 
     def to_toml(self, path: str | Path) -> None:
-        """Write a `sonar.toml` that `from_toml` reads back to the same sonar."""
+        """Write a `sonar.toml` that `from_toml` reads back as the same sonar.
+        Raises:
+            SonarjaxError: A value is impossible, traced or batched, or the file cannot be written.
+        """
         from sonarjax.sonar.toml import write_sonar
 
         write_sonar(self, path)
 
     def replace(self, **changes: Any) -> Sonar:
-        """A copy with some fields changed (metres and radians)."""
+        """A copy with some fields replaced (metres and radians)."""
         return replace(self, **changes)
 
     @property
@@ -151,12 +160,14 @@ class Sonar:
 
     @property
     def range_edges(self) -> Float[Array, "edge"]:
-        """Range bin edges (edge,), one more than bins [m]."""
+        """Edges (edge,) of the range bins [m]: one more than there are bins."""
         return self.range_min + self.range_bin * jnp.arange(self.n_ranges + 1, dtype=jnp.float32)
 
     @property
     def azimuth_edges(self) -> Float[Array, "edge"]:
-        """Beam edges (edge,), one more than beams [rad]: midway between centres, the outer two as far out as theirs."""
+        """Edges (edge,) of the beams [rad], one more than there are beams.
+        Inner edges lie midway between beam centres. An outer edge is as far from its centre as that beam's inner edge.
+        """
         centers = jnp.asarray(self.azimuth)
         if centers.shape[-1] == 1:
             half = jnp.maximum(jnp.asarray(self.beam_width, jnp.float32), 1e-4) / 2

@@ -1,8 +1,7 @@
 """Imaging sonars by name: `preset("didson-hf", tilt=0.35)` gives a `Sonar`, `PRESETS` lists the devices.
-
-What a name fixes is the device: beams, aperture and frequency. Where it hangs and what it looks at are the paper's
-tank (Table 1 and §4.1) for all of them: tilt 15°, 0.9 m above the floor, window 1.5–4.0 m in 512 bins. A recording's
-own header or a `sonar.toml` knows better than the smooth beam tables here.
+A name stands for a device: beams, aperture and frequency. All presets are mounted in the paper's tank (Table 1 and
+§4.1): tilt 15°, 0.9 m above the floor, window 1.5–4.0 m in 512 bins. Where a recording's own header or a `sonar.toml`
+gives beam angles, prefer them to the idealised ones here.
 """
 
 from __future__ import annotations
@@ -30,8 +29,7 @@ WINDOW_M = (1.5, 4.0)
 
 
 def even_beams(n_beams: int, field_of_view: float) -> Float64[np.ndarray, "beam"]:
-    """Centres (n_beams,) of equal beams whose outer edges span `field_of_view`, in that argument's unit.
-
+    """Centres (beam,) of equally wide beams whose outer edges span `field_of_view`, in the unit of that argument.
     >>> even_beams(4, 20.0).tolist()
     [-7.5, -2.5, 2.5, 7.5]
     """
@@ -39,13 +37,13 @@ def even_beams(n_beams: int, field_of_view: float) -> Float64[np.ndarray, "beam"
 
 
 def array_beams(n_beams: int, half_view: float) -> Float64[np.ndarray, "beam"]:
-    """Centres (n_beams,) [deg] of beams equal in sin(azimuth), as of a flat array, out to ±`half_view` [deg]."""
+    """Centres (beam,) [deg] of beams of equal width in sin(azimuth), as of a flat array, out to ±`half_view` [deg]."""
     return np.degrees(np.arcsin(even_beams(n_beams, 2 * math.sin(math.radians(half_view)))))
 
 
 @dataclass(frozen=True)
 class Device:
-    """What a preset's name fixes."""
+    """What the name of a preset stands for."""
 
     azimuth_deg: Float64[np.ndarray, "beam"]
     """Beam centres (beam,) in ascending order [deg]."""
@@ -89,14 +87,14 @@ PRESETS: dict[str, Device] = {
 
 
 def azimuth_from_deg(degrees: Any) -> Float[Array, "beam"]:
-    """Beam centres (beam,) [rad] as float32 from degrees (converted in float64)."""
+    """Beam centres (beam,) [rad] as float32 from degrees; converted in float64."""
     return jnp.asarray(np.radians(np.asarray(degrees, np.float64)), jnp.float32)
 
 
 def preset(name: str, **overrides: Any) -> Sonar:
-    """The device `name` (a key of `PRESETS`), with fields of `Sonar` replaced by `overrides` (metres and radians).
-
-    Raises SonarjaxError for an unknown name or field (listing the known ones) and for impossible values.
+    """Make the device `name` of `PRESETS`, with fields of `Sonar` replaced by `overrides` (metres and radians).
+    Raises:
+        SonarjaxError: The name or a field is unknown (the message lists the known ones), or a value is impossible.
     """
     if not isinstance(name, str) or name not in PRESETS:
         raise SonarjaxError(f"unknown sonar preset {name!r}, expected one of: {', '.join(PRESETS)}")
@@ -104,7 +102,7 @@ def preset(name: str, **overrides: Any) -> Sonar:
     unknown = [field for field in overrides if field not in known]
     if unknown:
         raise SonarjaxError(f"preset {name}: unknown field {', '.join(unknown)}, expected one of: {', '.join(known)}")
-    # These two have types of their own in `Sonar`: they are judged before it is made.
+    # Unlike the other fields these two are not plain floats, so they are checked before a `Sonar` is made of them.
     if "n_ranges" in overrides:
         check_count(overrides["n_ranges"], f"preset {name}")
     if "azimuth" in overrides:

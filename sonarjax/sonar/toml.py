@@ -1,7 +1,6 @@
-"""`sonar.toml`: a `Sonar` as a text file; metres, and degrees where the key says `_deg`.
-
-Reading checks every key, type and value and raises one clear `SonarjaxError`; writing gives a file that reads back to
-the same sonar. A key that is not given keeps the preset's value, or the default of `Sonar`.
+"""`sonar.toml`: a `Sonar` as a text file, in metres, and in degrees where the key says `_deg`.
+Reading checks every key, type and value, and raises one clear `SonarjaxError`. A written file reads back as the same
+sonar. For a missing key the preset's value is used, or the default of `Sonar`.
 """
 
 from __future__ import annotations
@@ -64,20 +63,28 @@ _NAMES = (
 
 
 def read_sonar(path: str | Path) -> Sonar:
-    """The sonar of a `sonar.toml`.
-
-    Raises SonarjaxError naming the file and the key: no such file, a folder, not UTF-8, not TOML, and whatever
-    `sonar_from_dict` finds.
+    """Read the sonar from a `sonar.toml`.
+    Raises:
+        SonarjaxError: The file is missing, a folder, not UTF-8 or not TOML, or `sonar_from_dict` refuses what it holds.
+            The message names the file and the key.
     """
     return sonar_from_dict(read_toml(path), str(path))
 
 
 def sonar_from_dict(table: Mapping[str, Any], source: str) -> Sonar:
-    """The sonar of a parsed `sonar.toml`; `source` is the file's name in messages.
+    """Make a sonar from a parsed `sonar.toml`.
+    If `n_beams` or `field_of_view_deg` differs from the preset's, the beams are evenly spaced; if only one of the two
+    is given, the other is the preset's.
 
-    With a preset, `n_beams` or `field_of_view_deg` that differ from it give evenly spaced beams; the missing one of
-    the two is the preset's. Fields are Python floats [m, rad], azimuth is float32 (beam,) [rad].
-    Raises SonarjaxError for unknown or missing keys, wrong types, impossible values and beams that do not agree.
+    Args:
+        table: Keys and values of the file.
+        source: Name of the file in error messages.
+
+    Returns:
+        The sonar. Its azimuth is float32 (beam,) [rad]; other fields are Python floats [m, rad].
+
+    Raises:
+        SonarjaxError: A key is unknown or missing, a type is wrong, a value is impossible, or the beams do not agree.
     """
     _refuse_unknown(table, _KNOWN, source)
     base = _preset(table, source)
@@ -99,9 +106,9 @@ def sonar_from_dict(table: Mapping[str, Any], source: str) -> Sonar:
 
 
 def write_sonar(sonar: Sonar, path: str | Path) -> None:
-    """Write a `sonar.toml` in one step; `read_sonar` gives the same sonar back.
-
-    Raises SonarjaxError when a value is impossible, traced or batched, or the file cannot be written.
+    """Write a `sonar.toml` in one step; `read_sonar` reads it back as the same sonar.
+    Raises:
+        SonarjaxError: A value is impossible, traced or batched, or the file cannot be written.
     """
     check_sonar(sonar, f"{path}: cannot write this sonar", _NAMES)
     lines = ["# Metres; degrees where the key says _deg."]
@@ -163,7 +170,7 @@ def _require(table: Mapping[str, Any], source: str) -> None:
 
 
 def _numbers(table: Mapping[str, Any], fields: Mapping[str, str], source: str, prefix: str = "") -> dict[str, Any]:
-    """Field -> value in the units of `Sonar`, for the keys that are there."""
+    """Values by field, in the units of `Sonar`, for the keys that are present."""
     values = {}
     for key, field in fields.items():
         if key in table:
@@ -218,7 +225,7 @@ def _geometry_std(table: Any, source: str) -> GeometryStd:
 
 
 def _azimuth(table: Mapping[str, Any], base: Sonar | None, source: str) -> Float[Array, "beam"]:
-    """Beam centres (beam,) [rad] from the list, else from the number of beams and the field of view."""
+    """Beam centres (beam,) [rad] from the list, or else from the number of beams and the field of view."""
     n_beams = _whole(table, "n_beams", MAX_BEAMS, source) if "n_beams" in table else None
     view = None
     if "field_of_view_deg" in table:
@@ -232,7 +239,7 @@ def _azimuth(table: Mapping[str, Any], base: Sonar | None, source: str) -> Float
         n_beams, view = n_beams or base.n_beams, view or own
         if n_beams == base.n_beams and math.isclose(view, own, rel_tol=1e-3):
             return base.azimuth  # the preset's own beams, even or not
-    assert n_beams is not None  # `_require` has seen to both
+    assert n_beams is not None  # `_require` has checked that both are given
     assert view is not None
     return azimuth_from_deg(even_beams(n_beams, view))
 
@@ -250,7 +257,7 @@ def _field_of_view_deg(sonar: Sonar) -> float:
 
 
 def _check_beams(table: Mapping[str, Any], sonar: Sonar, source: str) -> None:
-    """`n_beams` and `field_of_view_deg` agree with `azimuth_deg`, the latter within one beam."""
+    """Check that `n_beams` and `field_of_view_deg` agree with `azimuth_deg`, the latter to within one beam."""
     if "azimuth_deg" not in table:
         return
     if "n_beams" in table and table["n_beams"] != sonar.n_beams:

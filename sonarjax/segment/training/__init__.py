@@ -1,4 +1,4 @@
-"""Training of the segmenter: recipes, `train`, and what a run leaves behind. Heavy to import."""
+"""Training of the segmenter: recipes, `train`, and the files that a run leaves. Slow to import."""
 
 from sonarjax.segment.training.loop import TrainResult, train
 from sonarjax.segment.training.recipes import PRESETS, Recipe, discriminative, find_recipe

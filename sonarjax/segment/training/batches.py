@@ -1,6 +1,5 @@
-"""Batch k of a run as a pure function of the recipe and k, whatever was made before: what resuming rests on.
-
-Pairs are made set by set; the next set is made by another thread while the networks train on this one.
+"""Batch k of a run as a pure function of the recipe and k, whatever was made before. Resuming relies on this.
+Pairs are made one set at a time. Another thread makes the next set while the networks train on this one.
 """
 
 from __future__ import annotations
@@ -21,11 +20,11 @@ from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.segment.training.recipes import Recipe
 
-AT_ONCE = 64  # pairs between two looks at whether the run has ended
+AT_ONCE = 64  # pairs that are made between two checks of whether the run has ended
 
 
 class Stored(NamedTuple):
-    """Pairs in the bytes that they need."""
+    """Pairs as bytes."""
 
     image: UInt8[np.ndarray, "pair 128 128"]
     """Images, 0 to 255."""
@@ -34,17 +33,17 @@ class Stored(NamedTuple):
 
 
 class Batches:
-    """Batches of a recipe by number, a context manager: its thread ends with it."""
+    """The batches of a recipe, by number; a context manager that ends its thread."""
 
     def __init__(self, recipe: Recipe, engine: Engine = PLAIN) -> None:
-        """Nothing is made yet; `engine` will make the pairs."""
+        """Make nothing yet; `engine` will make the pairs."""
         self._recipe, self.engine = recipe, engine
         self._sets: dict[int, Future[Stored]] = {}
         self._over = threading.Event()
         self._maker = ThreadPoolExecutor(1, "pairs")
 
     def batch(self, step: int) -> Stored:
-        """The pairs of step `step`, from 0. Raises SonarjaxError when the recipe's folder cannot be used."""
+        """The pairs of step `step`, counted from 0. Raises SonarjaxError if the recipe's folder cannot be used."""
         recipe = self._recipe
         epoch, inside = divmod(step, recipe.epoch_steps)
         pairs = self._set(epoch // recipe.passes)
@@ -73,14 +72,16 @@ class Batches:
 
 @lru_cache(2)
 def _order(recipe: Recipe, epoch: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A set's pairs in one epoch, from the seed and the epoch alone: their order, which are mirrored, which plain."""
+    """For one epoch of a set, from the seed and the epoch alone: the order of the pairs, which are mirrored,
+    which plain.
+    """
     rng = np.random.Generator(np.random.Philox(key=[recipe.run_seed, epoch]))
     mirrored, plain = (rng.random(recipe.pairs) < share for share in (recipe.mirrored, recipe.plain))
     return rng.permutation(recipe.pairs), mirrored, plain
 
 
 def _chosen(which: np.ndarray, images: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Of two stacks of images (pair, range, beam) the first where `which` (pair,), else the second."""
+    """Images (pair, range, beam) from the first stack where `which` (pair,) is true, else from the second."""
     return np.where(which[:, None, None], images, others)
 
 
@@ -91,9 +92,9 @@ def _make_set(recipe: Recipe, number: int, over: threading.Event, engine: Engine
 
 
 def validation_set(recipe: Recipe, engine: Engine = PLAIN) -> Stored:
-    """The pairs that judge a run: of the validation split, or the last of the recipe's folder.
-
-    Raises SonarjaxError when the folder cannot be used.
+    """The validation pairs of a run: those of the validation split, or the last ones of the recipe's folder.
+    Raises:
+        SonarjaxError: The folder cannot be used.
     """
     if recipe.source is not None:
         return _imported(recipe)[1]
@@ -122,7 +123,7 @@ def _stored(pairs: Pairs) -> Stored:
 
 @lru_cache(1)
 def _imported(recipe: Recipe) -> tuple[Stored, Stored]:
-    """The folder's pairs: those to train on, and those to validate with."""
+    """The folder's pairs: those for training, and those for validation."""
     assert recipe.source is not None
     stored = _stored(import_pairs(recipe.source))
     wanted = recipe.pairs + recipe.validation_pairs

@@ -1,4 +1,4 @@
-"""Checkpoints of a run by Orbax: written aside and renamed, so a run killed while writing keeps the one before."""
+"""Checkpoints of a run by Orbax: written aside and renamed, so a run killed while writing keeps the previous one."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from sonarjax.segment.step import GanState
 
 KEPT = 2
 
-logging.getLogger("absl").setLevel(logging.WARNING)  # Orbax tells of every file at level INFO
+logging.getLogger("absl").setLevel(logging.WARNING)  # at level INFO Orbax logs every file
 
 
 class Checkpoints:
     """The checkpoints in a folder, numbered by steps done; a context manager."""
 
     def __init__(self, folder: Path) -> None:
-        """Open `folder`, made if missing. Raises SonarjaxError when it cannot be used."""
+        """Open `folder`, and make it if it is missing. Raises SonarjaxError if it cannot be used."""
         self.folder = folder
         options = ocp.CheckpointManagerOptions(
             max_to_keep=KEPT, enable_async_checkpointing=False, cleanup_tmp_directories=True
@@ -36,11 +36,11 @@ class Checkpoints:
 
     @property
     def latest(self) -> int | None:
-        """Steps done at the newest checkpoint, None without one."""
+        """Number of steps done at the newest checkpoint; None if there is none."""
         return self._manager.latest_step()
 
     def save(self, state: GanState, step: int) -> None:
-        """Keep the state after `step` steps. Raises SonarjaxError when it cannot be written."""
+        """Write the state after `step` steps. Raises SonarjaxError if it cannot be written."""
         if step == self.latest:
             return
         try:
@@ -49,9 +49,9 @@ class Checkpoints:
             raise SonarjaxError(f"{self.folder}: cannot be written: {' '.join(str(error).split())}") from error
 
     def restore(self, like: GanState, sharding: NamedSharding) -> GanState:
-        """The newest state, for a state of the shapes of `like`, placed by `sharding`.
-
-        Raises SonarjaxError when it cannot be read or is of other networks.
+        """Read the newest state, in the shapes of `like`, placed by `sharding`.
+        Raises:
+            SonarjaxError: It cannot be read, or is of other networks.
         """
         wanted = {k: jax.ShapeDtypeStruct(v.shape, v.dtype, sharding=sharding) for k, v in _named(like).items()}
         try:
@@ -59,7 +59,7 @@ class Checkpoints:
         except (OSError, ValueError, KeyError) as error:
             reason = " ".join(str(error).split())[:200]
             raise SonarjaxError(f"{self.folder}: checkpoint {self.latest} cannot be restored: {reason}") from error
-        # Copied: what Orbax hands out may lie in memory that a step must not take over.
+        # Copied, because Orbax's arrays may lie in memory that a step, to which they are donated, must not overwrite.
         return jax.tree.unflatten(jax.tree.structure(like), [jnp.copy(found[name]) for name in wanted])
 
     def __enter__(self) -> Checkpoints:
@@ -72,6 +72,6 @@ class Checkpoints:
 
 
 def _named(state: Any) -> dict[str, Any]:
-    """Every array of the state by its place in it."""
+    """Every array of the state under the name of its place."""
     flat, _ = jax.tree_util.tree_flatten_with_path(state)
     return {jax.tree_util.keystr(path, simple=True, separator="-"): leaf for path, leaf in flat}

@@ -1,7 +1,7 @@
-"""One step on all devices of all processes: the batch is split, the networks are copied, the losses are those of one.
-
-With several processes, start each with `SONARJAX_COORDINATOR=host:port`, `SONARJAX_PROCESSES` and `SONARJAX_PROCESS` (0
-and on), or call `jax.distributed.initialize` before anything else. The same run directory must be seen by all of them.
+"""One training step on all devices of all processes, with the same losses as on one device.
+The batch is split over the devices, and each device has a copy of the networks. To use several processes, start each
+with `SONARJAX_COORDINATOR=host:port`, `SONARJAX_PROCESSES` and `SONARJAX_PROCESS` (counted from 0), or call
+`jax.distributed.initialize` before anything else. All of them must see the same run directory.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ COORDINATOR, PROCESSES, PROCESS = "SONARJAX_COORDINATOR", "SONARJAX_PROCESSES", 
 
 
 def join_processes() -> None:
-    """Join the other processes if the environment names a coordinator and JAX has not joined them already.
-
-    Raises SonarjaxError when the environment's numbers cannot be used or the coordinator is not there.
+    """Join the other processes, if the environment names a coordinator and JAX has not joined them already.
+    Raises:
+        SonarjaxError: The numbers in the environment cannot be used, or the coordinator does not answer.
     """
     address = os.environ.get(COORDINATOR)
     if not address or jax.distributed.is_initialized():
@@ -44,9 +44,9 @@ def join_processes() -> None:
 
 
 def device_mesh(batch: int) -> Mesh:
-    """All devices in a row, or as many of one process's as divide the batch.
-
-    Raises SonarjaxError when several processes cannot share the batch evenly.
+    """A row of all devices; in a single process, as many of them as divide the batch evenly.
+    Raises:
+        SonarjaxError: Several processes cannot share the batch evenly.
     """
     devices = jax.devices()
     if jax.process_count() > 1 and batch % len(devices):
@@ -56,18 +56,18 @@ def device_mesh(batch: int) -> Mesh:
 
 
 def copied(mesh: Mesh) -> NamedSharding:
-    """The sharding of what every device has whole."""
+    """The sharding of arrays of which every device has a full copy."""
     return NamedSharding(mesh, PartitionSpec())
 
 
 def place_batch(pairs: Stored, mesh: Mesh) -> tuple[Array, Array]:
-    """Images and labels spread over the devices, all processes having the same `pairs`."""
+    """Split images and labels over the devices; all processes hold the same `pairs`."""
     split = NamedSharding(mesh, PartitionSpec("batch"))
     return _placed(pairs.image, split), _placed(pairs.labels, split)
 
 
 def place_state(state: GanState, mesh: Mesh) -> GanState:
-    """The state, which every process has drawn alike, on all devices."""
+    """Copy the state, which is the same in every process, to all devices."""
     return jax.tree.map(lambda v: _placed(np.asarray(v), copied(mesh)), state)
 
 
@@ -76,7 +76,7 @@ def _placed(values: np.ndarray, sharding: NamedSharding) -> Array:
 
 
 def local_copy(tree: Any) -> Any:
-    """Arrays that every device has whole, as this process's own."""
+    """This process's own copy of arrays that every device has in full."""
     return jax.tree.map(lambda v: v.addressable_data(0), tree)
 
 
@@ -101,7 +101,7 @@ def make_step(recipe: Recipe, mesh: Mesh) -> Callable[[GanState, Array, Array, A
 
 
 def anywhere(happened: bool) -> bool:
-    """Whether it happened in any process; all of them must ask."""
+    """Whether `happened` is true in any process; all processes must call this."""
     if jax.process_count() == 1:
         return happened
     from jax.experimental import multihost_utils

@@ -1,4 +1,4 @@
-"""What a run leaves for people: TensorBoard events, a line of metrics for each epoch, sample pictures."""
+"""The records of a run for people to read: TensorBoard events, a line of metrics for each epoch, sample pictures."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ from sonarjax.io import JsonLines, write_png, write_text
 
 
 class Journal:
-    """The records of one run in its folder, a context manager. Only the first process keeps one."""
+    """The records of one run in its folder; a context manager. Only the first process keeps records."""
 
     def __init__(self, folder: Path, step: int, *, writes: bool = True) -> None:
-        """Go on after `step` steps: what a killed run recorded beyond them is dropped."""
+        """Continue after `step` steps: what a killed run recorded beyond them is dropped."""
         self._folder = folder
         self._events = None
         if not writes:
             return
-        from tensorboardX import SummaryWriter  # half a second that only training pays
+        from tensorboardX import SummaryWriter  # takes half a second to import, and only training needs it
 
         _forget_after(folder / "metrics.jsonl", step)
         self._lines = JsonLines(folder / "metrics.jsonl")
         self._events = SummaryWriter(str(folder / "events"), purge_step=step + 1 if step else None)
 
     def scalars(self, values: Mapping[str, float], step: int) -> None:
-        """Numbers by name, for the curves."""
+        """Record numbers by name, as points of curves."""
         if self._events is not None:
             for name, value in values.items():
                 self._events.add_scalar(name, value, step)
 
     def epoch(self, number: int, step: int, metrics: Mapping[str, float], sheet: np.ndarray) -> None:
-        """The end of an epoch: its metrics, and sample pictures as a grey image (row, column)."""
+        """Record the end of an epoch: its metrics, and sample pictures as one grey image (row, column)."""
         if self._events is None:
             return
         self.scalars({f"validation/{name}": value for name, value in metrics.items()}, step)
@@ -55,7 +55,7 @@ class Journal:
 
 
 def _forget_after(path: Path, step: int) -> None:
-    """Drop the lines of later steps, and one that was cut short."""
+    """Drop the lines of later steps, and a line that was cut short."""
     if not path.exists():
         return
     kept = []

@@ -1,5 +1,4 @@
-"""`train`: a recipe from its first step, or from its last checkpoint, to weights that ship.
-
+"""`train`: follow a recipe from its first step, or from the last checkpoint, to weights that can be shipped.
 A run is a pure function of its recipe: the state after k steps does not depend on how often it was interrupted.
 """
 
@@ -43,7 +42,7 @@ from sonarjax.segment.training.signals import StopWish
 from sonarjax.segment.weights import INPUT, save_generator
 
 WEIGHTS = "weights.safetensors"
-FIRST_WEIGHTS, DROPOUT = 11, 12  # what is folded into the seed's key; pairs have 1 to 3
+FIRST_WEIGHTS, DROPOUT = 11, 12  # folded into the seed's key; 1 to 3 are those of pairs
 
 
 @dataclass(frozen=True)
@@ -51,25 +50,32 @@ class TrainResult:
     """How a run ended."""
 
     step: int
-    """Steps done."""
+    """Number of steps done."""
     finished: bool
-    """False when it was asked to stop before its last step."""
+    """False if the run was asked to stop before its last step."""
     metrics: dict[str, float]
-    """Validation metrics after the last epoch, empty before the first."""
+    """Validation metrics after the last epoch; empty before the first."""
     weights: Path | None
-    """The file of the averaged generator; None before the last step."""
+    """File of the averaged generator; None before the last step."""
 
 
 def train(
     preset: str | Recipe, run_dir: str | os.PathLike[str], resume: bool = False, *, engine: Engine = PLAIN
 ) -> TrainResult:
-    """Follow a recipe, by name or as it is, and leave checkpoints, records and weights in `run_dir`.
+    """Train the networks of a recipe, and leave checkpoints, records and weights in `run_dir`.
+    Runs on all devices and, if set up as in `devices`, on all processes. Ctrl-C or SIGTERM ends the run after the
+    current step, with a checkpoint. On a CPU, `sonarjax.cpu.keep_memory()` before the first step saves a third of the
+    time.
 
-    With `resume` a run that was killed goes on from its last checkpoint, to the same weights. Ctrl-C or SIGTERM ends
-    it after the current step, with a checkpoint. On all devices and, see `devices`, all processes. `engine` makes the
-    pairs: on a CPU `sonarjax.cpu.CpuEngine()`, and `sonarjax.cpu.keep_memory()` before the first step saves a third.
-    Raises SonarjaxError for a recipe or folder that cannot be used, and when a loss is not finite or has diverged:
-    the last checkpoint from before that is kept.
+    Args:
+        preset: A recipe, or its name in `PRESETS`.
+        run_dir: Folder of the run.
+        resume: Continue a run from its last checkpoint, to the same weights.
+        engine: Makes the pairs: on a CPU use `sonarjax.cpu.CpuEngine()`.
+
+    Raises:
+        SonarjaxError: The recipe or the folder cannot be used; or a loss is not finite or has diverged, in which case
+            the last checkpoint before that is kept.
     """
     recipe = find_recipe(preset)
     join_processes()
@@ -80,7 +86,7 @@ def train(
 
 
 class _Run:
-    """One call of `train`: the state and where it is kept."""
+    """One call of `train`: the state of training and the folder where it is kept."""
 
     def __init__(
         self, recipe: Recipe, folder: Path, checkpoints: Checkpoints, batches: Batches, wish: StopWish
@@ -102,10 +108,10 @@ class _Run:
         return self.checkpoints.restore(state, copied(self.mesh))
 
     def finish(self) -> TrainResult:
-        """Go on to the last step, or until a stop is wished."""
+        """Train up to the last step, or until a stop is requested."""
         recipe, chief = self.recipe, jax.process_index() == 0
         advance = make_step(recipe, self.mesh)
-        if self.step == recipe.steps:  # killed after its last step
+        if self.step == recipe.steps:  # the run was killed after its last step
             self.metrics = self._judge()[0]
         with (
             Journal(self.folder, self.step, writes=chief) as journal,
@@ -135,8 +141,8 @@ class _Run:
         return self.step % every == 0 or self.step % self.recipe.epoch_steps == 0
 
     def _mark(self, journal: Journal, losses: dict[str, jax.Array]) -> bool:
-        """End an epoch and keep a checkpoint where they are due; True when a stop is wished."""
-        # Several processes must agree on it, which takes a message: they ask less often.
+        """End an epoch and keep a checkpoint if they are due. Returns True if a stop is requested."""
+        # Several processes must exchange a message to agree on a stop, so they ask less often.
         asks = jax.process_count() == 1 or self._due(self.recipe.log_steps)
         stop = asks and anywhere(self.wish.wished)
         if self.step % self.recipe.epoch_steps == 0:
@@ -146,14 +152,14 @@ class _Run:
             values = {f"loss_{name}": value for name, value in self.losses.items()}
             journal.epoch(epoch, self.step, values | self.metrics, contact_sheet(grey, self.validation))
         if stop or self._due(self.recipe.checkpoint_steps):
-            self._look_at(losses)  # nothing that has diverged is kept, however seldom losses are logged
+            self._look_at(losses)  # so that no diverged state is kept, however rarely losses are logged
             if not _all_finite(local_copy(self.state)):
                 raise self._diverged("a weight is not finite")
             self.checkpoints.save(self.state, self.step)
         return stop
 
     def _look_at(self, losses: dict[str, jax.Array]) -> dict[str, float]:
-        """The losses as numbers. Raises SonarjaxError when one is not finite or too large."""
+        """The losses as numbers. Raises SonarjaxError if one is not finite or too large."""
         values = {name: float(local_copy(value)) for name, value in losses.items()}
         for name, value in values.items():
             if not math.isfinite(value) or abs(value) > self.recipe.largest_loss:
@@ -167,7 +173,7 @@ class _Run:
         return SonarjaxError(f"{self.folder}: training stopped at step {self.step}: {what}; {last}; {advice}")
 
     def _judge(self) -> tuple[dict[str, float], np.ndarray]:
-        """Validation metrics of the averaged generator, and its grey maps."""
+        """Validation metrics of the averaged generator, and its semantic maps."""
         if self.validation is None:
             self.validation = validation_set(self.recipe, self.batches.engine)
         weights = local_copy(self.state.weights())
@@ -175,7 +181,7 @@ class _Run:
         return score(grey, self.validation), grey
 
     def _write_weights(self) -> Path:
-        """The averaged generator as a file, written by the first process."""
+        """Write the averaged generator to a file; only the first process does."""
         path = self.folder / WEIGHTS
         if jax.process_index() == 0:
             weights = jax.device_get(local_copy(self.state.weights()))

@@ -1,4 +1,4 @@
-"""What a training run does from its first step to its last: networks, pairs and how often they are seen."""
+"""What a training run does from its first step to its last: networks, pairs, and how often they are used."""
 
 from __future__ import annotations
 
@@ -15,58 +15,62 @@ from sonarjax.segment.step import GanConfig
 
 @dataclass(frozen=True)
 class Recipe:
-    """A training run; two runs of one recipe give the same weights, bit for bit on one kind of CPU."""
+    """A training run. Two runs of one recipe give the same weights, bit for bit on one kind of CPU."""
 
     name: str = "custom"
-    """What the recipe is called."""
+    """Name of the recipe."""
     networks: GanConfig = field(default_factory=GanConfig)
     """The networks, their losses and optimisers."""
     discriminative: bool = False
     """Train the U-Net on cross-entropy alone (its head must be `classes`): the paper's 'discriminative model'."""
     run_seed: int = 0
-    """All that is random follows from it: pairs, their order, first weights, dropout."""
+    """Seed of everything random: pairs, their order, initial weights, dropout."""
     batch: int = 8
-    """Pairs in a step, over all devices."""
+    """Number of pairs in a step, over all devices."""
     pairs: int = 1024
-    """Pairs in a set."""
+    """Number of pairs in a set."""
     passes: int = 1
-    """How often a set is gone through, each time in another order."""
+    """How often each set is used, each time in another order."""
     sets: int = 1
     """How many sets are made, one after the other."""
     mirrored: float = 0.5
-    """Share of pairs [1] whose port and starboard are exchanged, others in each pass: a scene that could be as well."""
+    """Share of pairs [1] that are mirrored, port for starboard; other pairs in each pass. A mirrored scene is
+    as likely.
+    """
     plain: float = 0.04
-    """Share [1] whose image is the semantic map itself: what `sonarjax render` writes can be recognized too."""
+    """Share of pairs [1] whose image is replaced by the semantic map, so that frames of `sonarjax render` can
+    be recognized.
+    """
     pair_settings: PairSettings = field(default_factory=PairSettings)
     """How pairs are made."""
     source: str | None = None
-    """Folder of pairs (see `import_pairs`) to train on, instead of made ones; the last of them validate."""
+    """Folder of pairs (see `import_pairs`) to train on, instead of made ones; its last pairs are for validation."""
     validation_pairs: int = 128
-    """Pairs that judge the run after each epoch."""
+    """Number of pairs on which the run is evaluated after each epoch."""
     checkpoint_steps: int = 500
-    """Steps between checkpoints; there is one after each epoch too."""
+    """Steps between checkpoints; there is also one after each epoch."""
     log_steps: int = 20
-    """Steps between looks at the losses."""
+    """Steps between two logs of the losses."""
     largest_loss: float = 1e4
-    """A loss above this has diverged."""
+    """Above this a loss counts as diverged."""
 
     @property
     def epoch_steps(self) -> int:
-        """Steps of one pass through a set; what does not fill a batch is left out of that pass."""
+        """Number of steps in one pass through a set; pairs that do not fill a batch are left out of that pass."""
         return self.pairs // self.batch
 
     @property
     def epochs(self) -> int:
-        """Passes through all sets."""
+        """Number of passes through all sets."""
         return self.sets * self.passes
 
     @property
     def steps(self) -> int:
-        """Steps of the whole run."""
+        """Number of steps of the run."""
         return self.epochs * self.epoch_steps
 
     def checked(self) -> Recipe:
-        """The recipe itself. Raises SonarjaxError when it cannot be followed."""
+        """Return the recipe itself. Raises SonarjaxError if it cannot be followed."""
         for name in ("batch", "pairs", "passes", "sets", "validation_pairs", "checkpoint_steps", "log_steps"):
             if getattr(self, name) < 1:
                 raise SonarjaxError(f"recipe: {name}: expected 1 or more, got {getattr(self, name)}")
@@ -85,12 +89,12 @@ class Recipe:
         return self
 
     def as_json(self) -> dict[str, Any]:
-        """The recipe in JSON's own types."""
+        """The recipe in JSON types."""
         return json.loads(json.dumps(dataclasses.asdict(self)))
 
 
 PRESETS: dict[str, Recipe] = {
-    # Seconds: does everything run?
+    # Takes seconds, to see whether everything runs.
     "smoke": Recipe(
         name="smoke",
         networks=GanConfig(width=4, discriminator_width=4),
@@ -101,8 +105,8 @@ PRESETS: dict[str, Recipe] = {
         checkpoint_steps=4,
         log_steps=1,
     ),
-    # The recipe of the shipped weights, for two cores. Cross-entropy beside eq. 3 says which class a pixel is; the
-    # distance alone is content with a grey between two.
+    # The recipe of the shipped weights, for two cores. Cross-entropy in addition to eq. 3 makes the network choose a
+    # class for each pixel; the distance alone tolerates a grey between two classes.
     "cpu": Recipe(
         name="cpu",
         networks=GanConfig(
@@ -130,12 +134,15 @@ PRESETS: dict[str, Recipe] = {
     ),
 }
 """Recipes by name."""
-# The same on a GPU, at the paper's width.
+# As `paper-cpu`, on a GPU and at the paper's width.
 PRESETS["paper"] = replace(PRESETS["paper-cpu"], name="paper", networks=GanConfig(width=64, dtype="bfloat16"), batch=32)
 
 
 def find_recipe(preset: str | Recipe) -> Recipe:
-    """A recipe by name, or as it is. Raises SonarjaxError for an unknown name or a recipe that cannot be followed."""
+    """Find a recipe by its name, or take one as it is.
+    Raises:
+        SonarjaxError: The name is unknown, or the recipe cannot be followed.
+    """
     if isinstance(preset, Recipe):
         return preset.checked()
     if preset not in PRESETS:
@@ -144,6 +151,6 @@ def find_recipe(preset: str | Recipe) -> Recipe:
 
 
 def discriminative(recipe: Recipe) -> Recipe:
-    """The same run for the paper's 'discriminative model': the same U-Net and pairs, cross-entropy alone."""
+    """The same run for the paper's 'discriminative model': the same U-Net and pairs, with cross-entropy alone."""
     networks = replace(recipe.networks, head="classes")
     return replace(recipe, name=f"{recipe.name}-discriminative", networks=networks, discriminative=True)

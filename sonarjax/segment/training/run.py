@@ -1,4 +1,4 @@
-"""The folder of a run: what it was asked to do, and whether it may be started or resumed there."""
+"""The folder of a run: its recipe, and whether a run may be started or resumed there."""
 
 from __future__ import annotations
 
@@ -19,10 +19,11 @@ LIBRARIES = ("sonarjax", "jax", "jaxlib", "flax", "optax", "numpy")
 
 
 def open_run(recipe: Recipe, run_dir: Path, resume: bool) -> None:
-    """Make `run_dir` the folder of a run of `recipe`; all processes call it, the first one writes.
+    """Make `run_dir` the folder of a run of `recipe`. All processes call it; the first one writes.
+    To resume where no run was started is to start one.
 
-    Raises SonarjaxError when a run is there and `resume` is false, when it is of another recipe, and when the folder
-    cannot be used. To resume where nothing was begun is to begin.
+    Raises:
+        SonarjaxError: The folder holds a run and `resume` is false, its run has another recipe, or it cannot be used.
     """
     error: SonarjaxError | None = None
     if jax.process_index() == 0:
@@ -61,7 +62,7 @@ def _check_same(recipe: Recipe, config: Path) -> None:
 
 
 def versions() -> dict[str, str]:
-    """Versions of Python and of the libraries that decide what a recipe gives."""
+    """Versions of Python and of the libraries on which a run's result depends."""
     found = {"python": platform.python_version(), "backend": jax.default_backend()}
     for name in LIBRARIES:
         try:

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM as a wish to stop: the run looks at it between two steps, so that no step is cut in half."""
+"""Ctrl-C and SIGTERM as a request to stop. The run checks for it between two steps, so that no step is cut short."""
 
 from __future__ import annotations
 
@@ -11,13 +11,12 @@ CAUGHT = (signal.SIGINT, signal.SIGTERM)
 
 
 class StopWish:
-    """A context manager that notes the first signal; a second one has its usual effect.
-
-    Outside the main thread, where Python allows no handlers, nothing is noted.
+    """A context manager that notes the first signal; a second signal has its usual effect.
+    Outside the main thread Python allows no signal handlers, so nothing is noted.
     """
 
     def __init__(self) -> None:
-        """Nothing is wished yet."""
+        """Start without a request."""
         self.wished = False
         self._before: dict[signal.Signals, Any] = {}
 
