@@ -177,6 +177,14 @@ def make_poses(runs: Path, rng: np.random.Generator) -> None:
     finish(runs, "lean_pose", {"rows": rows, "per_frame": found})
 
 
+def make_catalog(runs: Path, rng: np.random.Generator) -> None:
+    names, sets = ["target", "target, mirror image", "brick"], ("drawn devices", "widest family", "the judge")
+    rows = [row(rng, "top_1", "alike", "identified", "refused", frames_of=name) for name in sets]
+    counts = {name: (rng.integers(0, 2, (3, 3)) + 3 * np.eye(3, dtype=int)).tolist() for name in sets}
+    alike = [["target", "target, mirror image"]]
+    finish(runs, "catalog", {"objects": names, "alike": alike, "rows": rows, "confusion": counts})
+
+
 def make_tracks(runs: Path, rng: np.random.Generator) -> None:
     keys = ("rms", "bar", "median", "std", "within_1", "astray", "place")
     views = [row(rng, *keys, name=name, count=n, cases=3) for name in ("one place", "around") for n in (1, 2, 4, 8, 16)]
@@ -218,6 +226,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
         make_turntable,
         make_poses,
         make_tracks,
+        make_catalog,
         make_shapes,
         make_dataset_bench,
     ):
