@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 import sonarjax as sj
 from experiments.common.metrics import markdown
-from paper_figs import style
+from paper_figs import ablations, style
 from paper_figs.shared import Number, has_run, load
 
 FOLDER = Path(__file__).resolve().parent
@@ -42,7 +42,6 @@ python -m paper_figs --index             # this table
 class Script(Protocol):
     """What each figure script has."""
 
-    __name__: str
     ITEM: str
     CAPTION: str
     EXPERIMENTS: tuple[str, ...]
@@ -56,10 +55,10 @@ class Script(Protocol):
 
 @cache
 def scripts() -> dict[str, Script]:
-    """All scripts by name: the paper's figures, tables and sections, then our own."""
+    """All scripts by name: the paper's figures, tables and sections, then our own. `ablations` has several."""
     names = [path.stem for path in FOLDER.glob("*.py") if SCRIPT.fullmatch(path.stem)]
-    ordered = sorted(names, key=lambda name: (KINDS.index(name[:3]), name))
-    return {name: importlib.import_module(f"paper_figs.{name}") for name in ordered}  # type: ignore[misc]
+    found = {name: importlib.import_module(f"paper_figs.{name}") for name in names} | ablations.SCRIPTS
+    return dict(sorted(found.items(), key=lambda one: (KINDS.index(one[0][:3]), one[0])))  # type: ignore[arg-type]
 
 
 def find(name: str) -> str:
@@ -111,9 +110,10 @@ def write_figure(name: str, runs: Path, out: Path) -> list[Path]:
 def rows(runs: Path) -> list[list[str]]:
     """The table's cells: a row for each number, or one for an item that has none."""
     table = []
-    for name, script in scripts().items():
+    for script in scripts().values():
         short = f" ({style.SMOKE})" if is_smoke(script, runs) else ""
-        where = [f"`{name}.py`", "<br>".join(f"`{command(one)}`" for one in script.EXPERIMENTS)]
+        file = script.draw.__module__.removeprefix("paper_figs.")
+        where = [f"`{file}.py`", "<br>".join(f"`{command(one)}`" for one in script.EXPERIMENTS)]
         lines: Sequence[Number | None] = script.numbers(runs) or [None]
         for line in lines:
             state = NOT_RUN if missing(script, runs) else DRAWN + short

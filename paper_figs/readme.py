@@ -107,8 +107,8 @@ def of_all_seeds(run: Run) -> list[dict[str, Any]]:
 
 
 def own_table(name: str, report: dict[str, Any]) -> str:
-    """What the experiment prints; its summary, where it has one."""
-    module = importlib.import_module(f"experiments.{name}")
+    """What the experiment prints; its summary, where it has one. `name` may have settings behind it."""
+    module = importlib.import_module(f"experiments.{name.split()[0]}")
     return str(getattr(module, "summary", module.table)(report))
 
 

@@ -58,9 +58,10 @@ def page(runs: Path) -> Page:
 
 def finished(runs: Path) -> dict[str, Run]:
     """The newest run of each experiment that has one: those of figures in the figures' order, the others by name."""
-    there = sorted({path.parent.parent.name for path in runs.glob(f"*/*/{RESULTS}")})
-    first = [name for name in index.experiments() if name in there]
-    return {name: load(runs, name) for name in dict.fromkeys(first + there) if has_run(runs, name)}
+    drawn = [name for name in index.experiments() if has_run(runs, name)]
+    there = {path.parent.parent.name for path in runs.glob(f"*/*/{RESULTS}")}
+    others = sorted(there - {name.split()[0] for name in drawn})
+    return {name: load(runs, name) for name in (*drawn, *others) if has_run(runs, name)}
 
 
 def or_why(make: Callable[[], str], put: Callable[[str], str] = str) -> str:

@@ -59,7 +59,7 @@ def load(runs: Path, experiment: str) -> Run:
     except sj.SonarjaxError:
         raise
     except (AttributeError, LookupError, TypeError, ValueError) as error:
-        text = f"{runs / experiment}: a results.json there is of other code ({error!r})"
+        text = f"{runs / experiment.split()[0]}: a results.json there is of other code ({error!r})"
         raise sj.SonarjaxError(f"{text}; remove it and run python -m experiments.{experiment} again") from error
     return Run(folder, load_report(folder))
 

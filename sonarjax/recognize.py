@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -26,6 +26,7 @@ from sonarjax.refine import (
     Start,
     YawEstimate,
     YawSet,
+    compared,
     curve_evidence,
     is_kept,
     look_closely,
@@ -35,6 +36,7 @@ from sonarjax.refine import (
     peak_bins,
     plan_refinement,
     prepare_refinement,
+    quick_evidence,
     refine_start,
     refine_yaw,
 )
@@ -89,7 +91,9 @@ class Recognition:
     runner_up: str | None
     """Name of the second best target; None with a single target."""
     margin: float | None
-    """`score` minus the runner-up's; None with a single target."""
+    """How much likelier it is than the runner-up, where one of the candidates is shown; None with a single target.
+
+    Without refinement or a rule it is the difference of their `score_bank`."""
     yaw_bin: float
     """Yaw of the best template [rad], turned to the bearing at which it was found."""
     yaw: float
@@ -133,7 +137,8 @@ class Recognition:
 
 
 class _Judged(NamedTuple):
-    """A target that comes into question: what judges it, its yaws, best first, its place [m] and the evidence."""
+    """A target that comes into question: what judges it, its yaws, best first, its place [m], the evidence for it, and
+    what it is compared by with others."""
 
     look: Look
     score: float
@@ -141,6 +146,7 @@ class _Judged(NamedTuple):
     x: float
     y: float
     evidence: dict[str, float] | None
+    rank: float = math.nan
 
 
 class Recognizer:
@@ -203,7 +209,7 @@ class Recognizer:
         seen = self.segmenter.semantic(image, mask, self.engine) if given is None else given
         rule = self.segmenter.rule if given is None and self.refine is not None else None
         pictures = self._pictures(image, seen, given is None)
-        looks = look_closely(self.targets, self.first_look, self.search, pictures, mask)
+        looks = look_closely(self.targets, self.first_look, self.search, pictures, mask, self.engine)
         judged = self._judged(looks, image, seen, mask, starts, rule)
         best, second = judged[0], judged[1] if len(judged) > 1 else None
         found = best.look.in_map
@@ -216,7 +222,7 @@ class Recognizer:
             score_refined=hypotheses[0].score if self.refine else None,
             threshold=least,
             runner_up=None if second is None else second.look.in_map.search.name,
-            margin=None if second is None else best.score - second.score,
+            margin=None if second is None else best.rank - second.rank,
             yaw_bin=_wrap(found.yaws[found.match.scores.argmax()]),
             yaw=hypotheses[0].yaw,
             yaw_std=hypotheses[0].yaw_std,
@@ -279,29 +285,35 @@ class Recognizer:
         if self.refine is None:
             return [self._unrefined(look) for look in looks]
         if rule is None:
-            best = next(self._refined(looks[:1], image, seen, mask, expected))
-            others = [self._unrefined(look) for look in looks[1:]]
-            return [best._replace(score=looks[0].in_map.score), *others]
-        judged = [one._replace(score=rule.probability(one.evidence or {}))
-                  for one in self._refined(looks, image, seen, mask, expected)]  # fmt: skip
-        return sorted(judged, key=lambda one: -one.score)
+            best, found = self._refined(looks[0], image, seen, mask, expected), looks[0].in_map.score
+            return [best._replace(score=found, rank=found), *(self._unrefined(look) for look in looks[1:])]
+        ranked = [(looks[0], 1.0)] if len(looks) == 1 else self._compared(looks, image, seen, mask)
+        best = self._refined(ranked[0][0], image, seen, mask, expected)
+        best = best._replace(score=rule.probability(best.evidence or {}), rank=ranked[0][1])
+        return [best, *(self._unrefined(look)._replace(rank=share) for look, share in ranked[1:])]
+
+    def _compared(
+        self, looks: Sequence[Look], image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None
+    ) -> list[tuple[Look, float]]:
+        """The looks, likeliest first, and the probability of each that it is the one of them that is shown."""
+        assert self.refine is not None
+        return compared(looks, quick_evidence(looks, image, seen, mask, self.refine, self._window, self.engine))
 
     def _unrefined(self, look: Look) -> _Judged:
         found, scores = look.in_map, look.in_map.match.scores
         bins = peak_bins(scores, found.yaws, self.search.hypotheses)
         plain = [Hypothesis(_wrap(found.yaws[k]), float(scores[k]), None, x=found.x, y=found.y) for k in bins]
-        return _Judged(look, found.score, _distinct(plain), found.x, found.y, None)
+        return _Judged(look, found.score, _distinct(plain), found.x, found.y, None, found.score)
 
     def _refined(
-        self, looks: Sequence[Look], image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None,
-        expected: Sequence[Pose],
-    ) -> Iterator[_Judged]:  # fmt: skip
-        """Possible yaws of each look, best first, the place (x, y) [m] of the best, and what speaks for it."""
-        starts = [make_starts(*look, seen, image, self.search.hypotheses) for look in looks]
-        matched = [len(own) for own in starts]
+        self, look: Look, image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None, expected: Sequence[Pose]
+    ) -> _Judged:
+        """Possible yaws, best first, the place (x, y) [m] of the best, and what speaks for it."""
+        starts = make_starts(*look, seen, image, self.search.hypotheses)
+        matched = len(starts)
         for pose in expected:
-            found = looks[0].in_map._replace(x=float(pose.x), y=float(pose.y))
-            starts[0].append(Start(found, starts[0][0].bin, seen, pose))
+            found = look.in_map._replace(x=float(pose.x), y=float(pose.y))
+            starts.append(Start(found, starts[0].bin, seen, pose))
 
         def refined(start: Start) -> tuple[YawEstimate, Pose, Evidence]:
             assert self.refine is not None
@@ -309,11 +321,9 @@ class Recognizer:
             return refine_start(start, image, seen, mask, self.refine, window, self.engine)
 
         # Each on its own: one that settles early waits for no other.
-        parts = iter(self.engine.map(refined, [start for own in starts for start in own]))
-        for look, own, count in zip(looks, starts, matched, strict=True):
-            done = [next(parts) for _ in own]
-            # Where refinement does not settle, an expected pose is what was expected and not what the frame shows.
-            yield _judge(look, [part for k, part in enumerate(done) if k < count or bool(is_kept(part[0]))])
+        parts = enumerate(self.engine.map(refined, starts))
+        # Where refinement does not settle, an expected pose is what was expected and not what the frame shows.
+        return _judge(look, [part for k, part in parts if k < matched or bool(is_kept(part[0]))])
 
     def _with_geometry(
         self, one: Hypothesis, search: TargetSearch, image: np.ndarray, mask: np.ndarray | None

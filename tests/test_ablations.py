@@ -1,4 +1,4 @@
-"""The helpers of the ablations: what they take away, what they compare with, and how they judge."""
+"""The sweep of ablations: its table, what it takes away, what it compares with, and how it judges."""
 
 from __future__ import annotations
 
@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 
 import sonarjax as sj
-from experiments import ablate_geometry, ablate_sensor, ablate_template, ablate_training, ablate_yaw_bin
-from experiments.ablate_geometry import Error, bank_with
-from experiments.ablate_sensor import EVERYTHING, NOTHING, PARTS, without
-from experiments.ablate_template import judged_at_place, only, scores_at_place
-from experiments.ablate_yaw_bin import floor_deg
+from experiments.ablate import EVERYTHING, NOTHING, PARTS, SWEEPS, Settings, floor_deg, run, table, without
+from experiments.common.at_place import bank_with, judged_at_place, only, scores_at_place
 from experiments.common.frames import GROUND_RANGE_M, TestFrame
 from experiments.common.metrics import summary_deg
+from experiments.common.runs import Job
+from experiments.common.trainings import ALONE, SIZES, VARIANTS, recipe_of
 from sonarjax.segment.training import find_recipe
 from sonarjax.sensor import SensorModel
 
@@ -88,8 +87,9 @@ def test_a_bank_is_rendered_for_the_wrong_geometry(monkeypatch):
     monkeypatch.setattr(
         sj, "template_bank", lambda mesh, sonar, yaws, *, x, engine: (math.degrees(float(sonar.tilt)), x)
     )
-    assert bank_with(Error("tilt", -5.0, 0.0), 20.0) == pytest.approx((15.0, GROUND_RANGE_M[20.0]))
-    assert bank_with(Error("distance", 0.0, 0.3), 25.0) == pytest.approx((25.0, GROUND_RANGE_M[25.0] + 0.3))
+    bank_of = bank_with.__wrapped__  # not the one that is kept
+    assert bank_of(20.0, -5.0, 0.0) == pytest.approx((15.0, GROUND_RANGE_M[20.0]))
+    assert bank_of(25.0, 0.0, 0.3) == pytest.approx((25.0, GROUND_RANGE_M[25.0] + 0.3))
 
 
 def test_switching_off_changes_only_what_it_names():
@@ -104,49 +104,63 @@ def test_switching_off_changes_only_what_it_names():
         assert replace(everything, **change) == everything, part
 
 
-@pytest.mark.parametrize("options", [{"bins_deg": (7,)}, {"bins_deg": (0,)}])
-def test_bins_must_close_the_circle(options):
-    with pytest.raises(ValueError, match="divisors of 360"):
-        ablate_yaw_bin.Settings(**options)
+@pytest.mark.parametrize(("vary", "value", "said"), [
+    ("yaw_bin", "7", "divisors of 360, got 7"), ("yaw_bin", "0", "divisors of 360, got 0"),
+    ("tilt", "x", "numbers, got 'x'"), ("sensor", "rain", "speckle, .* got 'rain'"),
+    ("training", "eq. 4", "eq. 3, .* got 'eq. 4'"),
+])  # fmt: skip
+def test_a_value_that_there_is_not_is_refused(vary, value, said):
+    with pytest.raises(ValueError, match=f"^--values: expected (some of )?.*{said}"):
+        Settings(vary=vary, values=(str(SWEEPS[vary].values[0]), value))
 
 
-def test_an_unknown_part_is_refused():
-    with pytest.raises(ValueError, match="unknown rain"):
-        ablate_sensor.Settings(parts=("speckle", "rain"))
+def test_values_are_the_tables_or_some_or_the_first_of_them():
+    assert Settings(vary="tilt").chosen() == list(SWEEPS["tilt"].values)
+    assert Settings(vary="training").chosen() == list(VARIANTS)
+    assert Settings(vary="training", values=tuple(SIZES)).chosen() == list(SIZES)
+    assert Settings(vary="distance", values=("-0.07", "2")).chosen() == [-0.07, 2.0]
+    assert Settings(vary="sensor", most=1).chosen() == [NOTHING]
 
 
-@pytest.mark.parametrize("experiment", [ablate_geometry, ablate_sensor, ablate_template, ablate_yaw_bin])
-def test_a_table_has_a_column_for_each_head(experiment):
-    values = {name: 0.5 for name in experiment.HEADS}
-    lines = experiment.table({"rows": [values]}).splitlines()
-    assert len(lines) == 3 and lines[0].count("|") == len(experiment.HEADS) + 1 == lines[2].count("|")
+@pytest.mark.parametrize("vary", SWEEPS)
+def test_a_table_has_a_column_for_each_head(vary):
+    heads = ("value", "map", *SWEEPS[vary].columns)
+    lines = table({"vary": vary, "rows": [dict.fromkeys(heads, 0.5)]}).splitlines()
+    assert len(lines) == 3 and lines[0].count("|") == len(heads) + 1 == lines[2].count("|")
+    assert "–" not in lines[2]
 
 
-@pytest.mark.parametrize("variant", ablate_training.VARIANTS)
+@pytest.mark.slow
+@pytest.mark.parametrize("vary", SWEEPS)
+def test_each_sweep_has_a_row_for_each_value_and_map_with_all_that_its_table_shows(vary, tmp_path):
+    small = {"step_deg": 180, "tilts_deg": (20.0,), "width": 4, "images": 8, "pairs": 8, "validation_pairs": 8}
+    settings = Settings(vary=vary, values=tuple(map(str, SWEEPS[vary].values[1:3])), maps=("none", "truth"), **small)
+    maps = ("pix2pix",) if vary == "training" else settings.maps
+    rows = run(settings, Job(tmp_path, 0))["rows"]
+    assert [(row["value"], row["map"]) for row in rows] == [(v, name) for v in settings.chosen() for name in maps]
+    assert all(SWEEPS[vary].columns.keys() <= row.keys() for row in rows)
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
 def test_trainings_are_a_third_of_the_papers_and_differ_in_one_thing(variant, tmp_path):
-    paper, settings = find_recipe("paper-cpu"), ablate_training.Settings()
-    recipe = ablate_training.recipe_of(variant, settings, 2, tmp_path).checked()
+    paper, settings = find_recipe("paper-cpu"), Settings()
+    recipe = recipe_of(variant, settings, 2, tmp_path).checked()
     assert 3 * recipe.steps == paper.steps and (recipe.batch, recipe.pairs) == (paper.batch, paper.pairs)
     usual = {"name": paper.name, "run_seed": 0, "passes": paper.passes, "source": None, "discriminative": False}
     assert replace(recipe, networks=paper.networks, **usual) == paper
     changed = {
         f.name for f in fields(paper.networks) if getattr(recipe.networks, f.name) != getattr(paper.networks, f.name)
     }
-    assert changed == set(ablate_training.VARIANTS[variant])
-    assert recipe.discriminative == (variant == ablate_training.ALONE)
+    assert changed == set(VARIANTS[variant])
+    assert recipe.discriminative == (variant == ALONE)
 
 
 @pytest.mark.parametrize(("variant", "pairs", "passes", "sets"), [
     ("a quarter of the pairs", 2, 8, 1), ("eq. 3", 8, 2, 1), ("four times the pairs", 8, 1, 4),
 ])  # fmt: skip
 def test_more_or_fewer_pairs_are_seen_as_often_in_all(variant, pairs, passes, sets, tmp_path):
-    settings = ablate_training.Settings(pairs=8, images=16 if variant != "four times the pairs" else 32, batch=2)
-    recipe = ablate_training.recipe_of(variant, settings, 0, tmp_path)
+    settings = Settings(pairs=8, images=16 if variant != "four times the pairs" else 32, batch=2)
+    recipe = recipe_of(variant, settings, 0, tmp_path)
     assert (recipe.pairs, recipe.passes, recipe.sets) == (pairs, passes, sets)
     assert recipe.source == (None if sets > 1 else str(tmp_path))
     assert recipe.steps * recipe.batch == settings.images
-
-
-def test_an_unknown_variant_is_refused():
-    with pytest.raises(ValueError, match="got 'eq. 4'"):
-        ablate_training.Settings(variants=("eq. 3", "eq. 4"))

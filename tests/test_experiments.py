@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from experiments import __main__ as listing
+from experiments.ablate import SWEEPS
 from experiments.common import runs
 from experiments.common.frames import STEP_DEG, paper_frames
 from experiments.common.launch import Skipped, combined, launch, parse
@@ -255,10 +256,15 @@ def test_parts_of_the_same_name_under_two_titles_are_two(tmp_path: Path):
 
 
 def test_the_run_found_is_full_then_unchanged_then_of_the_lowest_seed(tmp_path: Path):
-    runs = (("a", "smoke", [], 0), ("b", "full", [], 2), ("c", "full", [], 1), ("d", "full", ["count"], 0))
+    runs = (("a", "smoke", [], 0), ("b", "full", [], 2), ("c", "full", [], 1), ("d", "full", ["vary"], 0),
+            ("e", "full", ["vary", "size"], 0))  # fmt: skip
     for name, preset, changed, seed in runs:
-        Job(tmp_path / "it" / name, seed).finish({"preset": preset, "changed": changed, "seed": seed})
-    assert find_run(tmp_path, "it").name == "c"
+        settings = {"vary": "tilt" if changed else "yaw", "size": 2}
+        report = {"preset": preset, "changed": changed, "seed": seed, "settings": settings}
+        Job(tmp_path / "it" / name, seed).finish(report)
+    assert [find_run(tmp_path, name).name for name in ("it", "it --vary tilt", "it --vary yaw")] == ["c", "d", "c"]
+    with pytest.raises(SonarjaxError, match=r"`python -m experiments\.it --vary no` makes one"):
+        find_run(tmp_path, "it --vary no")
     with pytest.raises(SonarjaxError, match=r"`python -m experiments\.other` makes one"):
         find_run(tmp_path, "other")
 
@@ -285,8 +291,11 @@ def test_all_experiments_are_launched():
 
 
 def test_the_readme_has_all_experiments_and_no_others():
-    rows = re.findall(r"^\|.*`python -m experiments\.(\w+)", (FOLDER / "README.md").read_text(encoding="utf-8"), re.M)
-    assert sorted(rows) == experiments()
+    rows = re.findall(
+        r"^\|.*`python -m experiments\.([^`]+)`", (FOLDER / "README.md").read_text(encoding="utf-8"), re.M
+    )
+    ablations = [f"ablate --vary {vary}" for vary in SWEEPS]
+    assert sorted(rows) == sorted({*experiments(), *ablations} - {"ablate"})
 
 
 def test_the_list_has_every_question(capsys: pytest.CaptureFixture[str]):

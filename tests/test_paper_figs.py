@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import io
 import json
 import re
@@ -15,10 +16,10 @@ from matplotlib import rc_context
 from matplotlib.image import AxesImage
 from skimage.io import imread
 
-from experiments import bench_dataset, evaluate_segmenters, fit_threshold, reproduce_paper
+from experiments import ablate, bench_dataset, evaluate_segmenters, fit_threshold, reproduce_paper
 from experiments.common import paper
 from experiments.common.tables import correlation_table, receiver_curve
-from paper_figs import baseline, docs_slice, index, readme, report, style
+from paper_figs import ablations, baseline, docs_slice, index, readme, report, style
 from paper_figs.__main__ import main
 from paper_figs.shared import load
 from sonarjax.io import SonarjaxError, write_npz
@@ -27,6 +28,7 @@ from sonarjax.scene import objects
 PROJECT = Path(__file__).resolve().parent.parent
 SHAPE = (512, 96)
 SEGMENTERS = ("pix2pix", "none")
+SEVERITY = "ablate --vary severity"
 WANTED = [*(f"fig{k:02}" for k in range(1, 9)), "tab03", "tab04", "sec32", "sec43", "sec44"]
 OWN = 13  # at least so many figures of our own
 PAPER = {
@@ -43,7 +45,8 @@ PAPER = {
 
 def finish(runs: Path, experiment: str, results: dict[str, Any], *, preset: str = "full", **arrays: Any) -> None:
     """A finished run: `arrays` are dicts of arrays by the name of their file."""
-    folder = runs / experiment / "made-up-s0"
+    name, *options = experiment.split()
+    folder = runs / name / "-".join(["made-up", *options[1:], "s0"])
     folder.mkdir(parents=True)
     facts = {"experiment": experiment, "preset": preset, "seed": 0, "settings": {}, "versions": {"sonarjax": "0"}}
     facts |= {"git": "0123456789", "code": "c0de", "device": "cpu", "date": "2020-02-02", "seconds": 1.0}
@@ -133,25 +136,11 @@ def make_yaws(runs: Path, rng: np.random.Generator) -> None:
 
 
 def make_ablations(runs: Path, rng: np.random.Generator) -> None:
-    measures = ("accuracy", "best_accuracy", "bin_right", "score_target", "score_other", "score_own", "score_wrong")
-    yaws = tuple(f"{stage}_{key}" for stage in ("bin", "yaw") for key in ("median", "astray", "ms"))
-    quality = ("iou", "psnr", "iou_mean", "iou_highlight", "iou_shadow", "psnr_gain_db")
-
-    def rows(**varied: Any) -> dict[str, Any]:
-        ((key, values),) = varied.items()
-        keys = (*measures, *yaws, *quality)
-        return {"rows": [row(rng, *keys, segmenter=name, map=name, **{key: v}) for name in SEGMENTERS for v in values]}
-
-    finish(runs, "ablate_severity", rows(severity=(0.0, 1.0, 2.0)))
-    finish(runs, "ablate_yaw_bin", rows(bin_deg=(2, 10, 30)))
-    finish(runs, "ablate_template", rows(part=("both", "highlight", "shadow")))
-    finish(runs, "ablate_sensor", rows(part=("nothing", "speckle", "all of them")))
-    wrong = [row(rng, *measures, map="truth", wrong=wrong, tilt_error_deg=off, distance_error_m=off / 10)
-             for wrong in ("tilt", "distance") for off in (-1.0, 0.0, 1.0)]  # fmt: skip
-    finish(runs, "ablate_geometry", {"rows": wrong})
-    curve = {"images": [8.0, 16.0], "iou_mean": [0.1, 0.3]}
-    trained = [row(rng, *quality, variant=name, curve=curve) for name in ("eq. 3", "no skips")]
-    finish(runs, "ablate_training", {"rows": trained})
+    for vary, sweep in ablate.SWEEPS.items():
+        curve = {"images": [8.0, 16.0], "iou_mean": [0.1, 0.3]}
+        cases = [{"value": value, "map": name, "curve": curve} for value in sweep.values for name in SEGMENTERS]
+        rows = [row(rng, *sweep.columns, "floor_median", **case) for case in cases]
+        finish(runs, f"ablate --vary {vary}", {"vary": vary, "settings": {"vary": vary}, "rows": rows})
 
 
 def make_segmenters(runs: Path, rng: np.random.Generator, preset: str = "full") -> None:
@@ -186,6 +175,14 @@ def make_poses(runs: Path, rng: np.random.Generator) -> None:
     found = {n: {v: [row(rng, "cm", "deg") for _ in range(4)] for v in ("1", "2")} for n in names}
     rows = [row(rng, "mean_cm", "mean_deg", name=n, views=v) for n in names for v in ("1", "2")]
     finish(runs, "lean_pose", {"rows": rows, "per_frame": found})
+
+
+def make_catalog(runs: Path, rng: np.random.Generator) -> None:
+    names, sets = ["target", "target, mirror image", "brick"], ("drawn devices", "widest family", "the judge")
+    rows = [row(rng, "top_1", "alike", "identified", "refused", frames_of=name) for name in sets]
+    counts = {name: (rng.integers(0, 2, (3, 3)) + 3 * np.eye(3, dtype=int)).tolist() for name in sets}
+    alike = [["target", "target, mirror image"]]
+    finish(runs, "catalog", {"objects": names, "alike": alike, "rows": rows, "confusion": counts})
 
 
 def make_tracks(runs: Path, rng: np.random.Generator) -> None:
@@ -229,6 +226,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
         make_turntable,
         make_poses,
         make_tracks,
+        make_catalog,
         make_shapes,
         make_dataset_bench,
     ):
@@ -258,11 +256,11 @@ def test_every_script_is_indexed_and_every_row_has_a_script(runs: Path) -> None:
         "shared",
         "solid",
     }
-    others |= {"style"}
+    others |= {"style", "ablations"}
     files = {path.stem for path in (PROJECT / "paper_figs").glob("*.py")}
-    assert files - others == set(index.scripts())
-    shown = {cells[1].strip("`") for cells in index.rows(runs)}
-    assert shown == {f"{name}.py" for name in index.scripts()}
+    alone = set(index.scripts()) - set(ablations.SCRIPTS)
+    assert files - others == alone
+    assert {cells[1].strip("`") for cells in index.rows(runs)} == {f"{name}.py" for name in alone | {"ablations"}}
 
 
 def test_drawn_slice_shows_what_a_ray_would_meet() -> None:
@@ -286,8 +284,8 @@ def test_script_says_what_it_is(name: str) -> None:
     script = index.scripts()[name]
     assert script.ITEM and script.CAPTION.endswith(".") and script.EXPERIMENTS
     for experiment in script.EXPERIMENTS:
-        assert (PROJECT / "experiments" / f"{experiment}.py").is_file()
-    source = (PROJECT / "paper_figs" / f"{name}.py").read_text(encoding="utf-8")
+        assert (PROJECT / "experiments" / f"{experiment.split()[0]}.py").is_file()
+    source = Path(inspect.getfile(script.draw)).read_text(encoding="utf-8")
     assert not re.search(r"\b(render|recognize|template_bank|refine_yaw|paper_frames)\(", source)  # it only reads
 
 
@@ -355,8 +353,8 @@ def test_a_short_run_is_marked(tmp_path: Path, rng: np.random.Generator) -> None
 
 
 def test_a_short_run_is_marked_in_the_page(tmp_path: Path) -> None:
-    rows = [row(np.random.default_rng(0), *reproduce_paper.HEADS, severity=1.0, score_target=0.5, score_other=0.4)]
-    finish(tmp_path, "ablate_severity", {"rows": rows}, preset="smoke")
+    rows = [row(np.random.default_rng(0), *ablate.RECOGNIZED, value=1.0, map="otsu")]
+    finish(tmp_path, SEVERITY, {"settings": {"vary": "severity"}, "vary": "severity", "rows": rows}, preset="smoke")
     assert report.page(tmp_path).html.count(report.SMOKE) >= 2
 
 
@@ -370,13 +368,13 @@ def test_a_missing_run_is_one_clear_line(tmp_path: Path, capsys: pytest.CaptureF
 
 
 def test_a_run_of_other_code_is_one_clear_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    finish(tmp_path, "ablate_severity", {"rows": [{"severity": 1.0}]})
+    finish(tmp_path, SEVERITY, {"settings": {"vary": "severity"}, "rows": [{"value": 1.0}]})
     assert main(["ext06", "--runs", str(tmp_path), "--out", str(tmp_path)]) == 1
-    assert "run python -m experiments.ablate_severity again" in capsys.readouterr().err
-    (tmp_path / "ablate_severity" / "made-up-s0" / "results.json").write_text("[]", encoding="utf-8")
+    assert f"run python -m experiments.{SEVERITY} again" in capsys.readouterr().err
+    (tmp_path / "ablate" / "made-up-severity-s0" / "results.json").write_text("[]", encoding="utf-8")
     assert main(["ext06", "--runs", str(tmp_path), "--out", str(tmp_path)]) == 1
     (said,) = capsys.readouterr().err.splitlines()
-    assert "remove it and run python -m experiments.ablate_severity again" in said
+    assert f"remove it and run python -m experiments.{SEVERITY} again" in said
 
 
 def test_real_frames_show_as_numbers_alone(runs: Path) -> None:
@@ -491,7 +489,7 @@ def test_what_other_code_left_costs_its_own_part_of_the_page(tmp_path: Path, rng
     finish(tmp_path, "no_longer_there", {"rows": []})
     finish(tmp_path, "real_turntable", {"rows": [], "per_frame": {"truth_deg": "<none>"}})
     finish(tmp_path, "reproduce_paper", {"rows": 1})
-    finish(tmp_path, "ablate_severity", {"rows": [1.0, 2.0]})
+    finish(tmp_path, SEVERITY, {"settings": {"vary": "severity"}, "rows": [1.0, 2.0]})
     finish(tmp_path, "gradient_check", {"git": None, "scenes": {}})
     for name, text in (("calibrate_sensor", "[1]"), ("bench_all", '{"rows": ['), ("yaw_basin", "{}")):
         (tmp_path / name / "a-s0").mkdir(parents=True)
@@ -503,7 +501,7 @@ def test_what_other_code_left_costs_its_own_part_of_the_page(tmp_path: Path, rng
     sources.feed(page)
     assert sources.open == [] and "<none>" not in page
     assert '<td class="n">0.765</td>' in page  # what this code made is shown
-    for name in ("bare", "no_longer_there", "real_turntable", "reproduce_paper", "ablate_severity", "gradient_check"):
+    for name in ("bare", "no_longer_there", "real_turntable", "reproduce_paper", SEVERITY, "gradient_check"):
         assert re.search(rf"<summary>{name}</summary><p>Made by other code, [^<]+</p></details>", page)
         assert f"<tr><td>{name}</td><td>full</td>" in page
     assert not re.search("<summary>(calibrate_sensor|bench_all|yaw_basin)<", page)  # no report at all

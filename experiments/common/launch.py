@@ -14,7 +14,7 @@ import textwrap
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, is_dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
@@ -181,10 +181,12 @@ def _shown(default: Any) -> str:
 
 
 def field_docstrings(settings: type) -> dict[str, str]:
-    """The string under each field of a dataclass. Raises KeyError, when read, for a field that has none."""
-    body = ast.parse(textwrap.dedent(inspect.getsource(settings))).body[0].body  # type: ignore[attr-defined]
+    """The string under each field of a dataclass and of those it is made from. A field that has none has no key."""
+    kinds = [kind for kind in settings.__mro__ if is_dataclass(kind)]
+    bodies = [ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0].body for kind in kinds]  # type: ignore[attr-defined]
     return {
         ast.unparse(field.target): str(below.value.value)
+        for body in bodies
         for field, below in pairwise(body)
         if isinstance(field, ast.AnnAssign) and isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant)
     }

@@ -150,18 +150,22 @@ def run_folder(runs: Path, experiment: str, settings: Mapping[str, Any], seed: i
 
 
 def find_run(runs: Path, experiment: str) -> Path:
-    """The folder of the newest finished run of an experiment: full ones, unchanged settings and lower seeds first.
+    """The folder of the newest finished run: full ones, those with fewer changed settings and lower seeds first.
 
-    Raises SonarjaxError that says how to make one when there is none.
+    `experiment` is its name, or as in a command with some of its settings: `ablate --vary tilt`. Raises SonarjaxError
+    that says how to make one when there is none.
     """
-    found = [(json.loads(path.read_text(encoding="utf-8")), path) for path in runs.glob(f"{experiment}/*/{RESULTS}")]
+    name, *options = experiment.split()
+    wanted = dict(zip((one.removeprefix("--") for one in options[::2]), options[1::2], strict=True))
+    found = [(json.loads(path.read_text(encoding="utf-8")), path) for path in runs.glob(f"{name}/*/{RESULTS}")]
+    found = [one for one in found if not wanted or wanted.items() <= one[0]["settings"].items()]
     if not found:
-        raise SonarjaxError(f"{runs / experiment}: no finished run; `python -m experiments.{experiment}` makes one")
+        raise SonarjaxError(f"{runs / name}: no finished run; `python -m experiments.{experiment}` makes one")
     return max(found, key=lambda one: (*_rank(one[0]), one[1].stat().st_mtime))[1].parent
 
 
-def _rank(report: Mapping[str, Any]) -> tuple[bool, bool, int]:
-    return report["preset"] == "full", not report.get("changed"), -report["seed"]
+def _rank(report: Mapping[str, Any]) -> tuple[bool, int, int]:
+    return report["preset"] == "full", -len(report.get("changed", ())), -report["seed"]
 
 
 def load_report(folder: Path) -> dict[str, Any]:

@@ -79,7 +79,7 @@ def iterate(seed: int, kind: str, step_deg: float = 10.0) -> Iterator[JudgeFrame
         for number, yaw_deg in enumerate(np.repeat(np.arange(0, 360, step_deg), 2)):
             is_target = number % 2 == 0
             rng = _rng(seed, stream + group * (SET_STREAM // 4) + number)
-            yield _frame(setup, pair[0 if is_target else 1], is_target, float(yaw_deg), rng)
+            yield frame_of(setup, pair[0 if is_target else 1], is_target, float(yaw_deg), rng)
 
 
 Triangles = tuple[np.ndarray, np.ndarray]
@@ -107,7 +107,7 @@ def _setup(kind: str, group: int, rng: np.random.Generator) -> Setup:
     return Setup(group, tilt_deg, _sonar(kind, group, tilt_deg), _device(kind, group, rng), kind == "severe")
 
 
-def _frame(setup: Setup, shape: Triangles, is_target: bool, yaw_deg: float, rng: np.random.Generator) -> JudgeFrame:
+def frame_of(setup: Setup, shape: Triangles, is_target: bool, yaw_deg: float, rng: np.random.Generator) -> JudgeFrame:
     """One object near one yaw of the grid, the rest drawn."""
     device = setup.device or Device.draw(rng)
     slack = rng.uniform(-1, 1, 5)

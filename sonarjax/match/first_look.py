@@ -80,6 +80,11 @@ class FirstLook:
         self._shelves: list[_Shelf] | None = None
 
     @property
+    def n_distances(self) -> int:
+        """Number of distances that are looked at."""
+        return len(self._distances)
+
+    @property
     def residual(self) -> float:
         """Largest share of any template [1] that the components leave: no score is off by more."""
         return max(float(np.max(np.asarray(shelf.bank.residual))) for shelf in self.prepare())

@@ -34,6 +34,8 @@ MIN_VALID = 0.5
 """Least share of a template's pixels that were measured, where part of the frame is masked."""
 NOT_SEEN = "{}: at no distance inside the sonar's view is any part of it visible"
 """What is wrong with a target, whose name goes in."""
+KEPT_COMPACT = 4
+"""Distances at which a target of a catalogue keeps its bank: those that were looked at last."""
 MAX_DISTANCES = 1000
 """Most distances of the search, 100 m of floor: each costs a bank."""
 
@@ -100,7 +102,7 @@ class TargetSearch:
         self, mesh: Mesh, sonar: Sonar, config: SearchConfig = SearchConfig(), *, name: str = "target",
         engine: Engine = PLAIN, compact: bool = False,
     ) -> None:  # fmt: skip
-        """Banks are rendered when a frame first needs them. `compact` keeps them small, at some cost in time.
+        """Banks are rendered when a frame first needs them. `compact` keeps them small and few, at some cost in time.
 
         Raises SonarjaxError when no distance is in view or too many are, or the mesh is larger than the sonar sees far.
         """
@@ -164,7 +166,17 @@ class TargetSearch:
         key = (index, coarse, masked and not self.compact)
         if key not in self._banks:
             self._banks[key] = self._render(float(self.distances[index]), coarse, masked)
-        return self._banks[key]
+        found = self._banks[key]
+        if self.compact and not coarse:
+            self._make_room(key)
+        return found
+
+    def _make_room(self, latest: tuple[int, bool, bool]) -> None:
+        """Let go of the fine banks that were looked at longest ago: a catalogue's memory does not grow with frames."""
+        self._banks[latest] = self._banks.pop(latest)  # the last of the dict
+        fine = [key for key, entry in self._banks.items() if entry is not None and not key[1]]
+        for key in fine[:-KEPT_COMPACT]:
+            del self._banks[key]
 
     def _render(self, distance: float, coarse: bool, masked: bool) -> _Entry | None:
         config = self.config

@@ -1,14 +1,32 @@
-"""Targets that come into question in a frame, and how each of them matches it."""
+"""Targets that come into question in a frame: how each matches, and a quick refinement that says which to refine."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from sonarjax.engine import Engine
 from sonarjax.match import FirstLook, SearchConfig, TargetSearch, leading
-from sonarjax.refine.starts import Candidate, locate
+from sonarjax.refine.config import RefineConfig
+from sonarjax.refine.starts import Candidate, Start, curve_evidence, evidence_of, locate, make_starts, on_frame
+from sonarjax.refine.yaw import refine_and_draw
+from sonarjax.render import WindowSize
+from sonarjax.scene import Pose
+
+QUICK_ITERATIONS = 1
+"""Renders at each blur of the quick refinement."""
+COMPARISON: Mapping[str, float] = {
+    "map_fit": 1.0, "frame_fit": 1.0, "coarse_fit": 1.0, "unexplained": -1.0, "left_over": -1.0, "frame_peak": 1.0,
+    "score_bank": 1.0,
+}  # fmt: skip
+"""Weight of each number in the log-odds that a candidate is the one that is shown, from validation frames
+(experiments/fit_candidates.py). How far it stands out over yaw is no part of it: that tells of its symmetry."""
+SAME_START = math.radians(5.0)
+"""Starts whose yaws [rad] are no farther apart are one."""
 
 
 class Look(NamedTuple):
@@ -19,10 +37,15 @@ class Look(NamedTuple):
     in_frame: Candidate | None = None
     """On the frame."""
 
+    @property
+    def name(self) -> str:
+        """Name of the target."""
+        return self.in_map.search.name
+
 
 def look_closely(
     targets: Mapping[str, TargetSearch], first_look: FirstLook | None, config: SearchConfig,
-    pictures: Sequence[np.ndarray], mask: np.ndarray | None,
+    pictures: Sequence[np.ndarray], mask: np.ndarray | None, engine: Engine,
 ) -> list[Look]:  # fmt: skip
     """The targets that come into question, best first, as they match the `pictures`: the map, and perhaps the frame.
 
@@ -39,4 +62,48 @@ def look_closely(
     def look(name: str) -> Look:
         return Look(*(locate(targets[name], p, mask, at[name]) for p, at in zip(pictures, near, strict=True)))
 
-    return sorted(map(look, names), key=lambda one: -one.in_map.score)
+    return sorted(engine.map(look, names), key=lambda one: -one.in_map.score)
+
+
+def quick_evidence(
+    looks: Sequence[Look], image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None, config: RefineConfig,
+    window: Callable[[TargetSearch, Pose], WindowSize | None], engine: Engine,
+) -> list[dict[str, float]]:  # fmt: skip
+    """What speaks for each of `looks`, refined a little on the frame `image` (range, beam) from its best bins.
+
+    `seen` is the map of the frame; `window` tells the window that a target at a pose needs. With `score_bank`.
+    """
+    brief = replace(on_frame(config), iterations=QUICK_ITERATIONS)
+    starts = [(k, start) for k, look in enumerate(looks) for start in _apart(make_starts(*look, seen, image, 1))]
+
+    def refined(numbered: tuple[int, Start]) -> tuple[int, dict[str, float]]:
+        k, start = numbered
+        search, begin = start.candidate.search, start.begin
+        size = window(search, begin)
+        drawn = refine_and_draw(image, search.mesh, search.sonar, begin, mask, brief, size, engine)[1]
+        gathered = evidence_of(drawn, image, seen, mask, engine)
+        return k, {name: float(value) for name, value in vars(gathered).items()}
+
+    best: dict[int, dict[str, float]] = {}
+    for k, evidence in engine.map(refined, starts):
+        if k not in best or evidence["frame_fit"] > best[k]["frame_fit"]:
+            best[k] = evidence
+    return [best[k] | curve_evidence(*look) | {"score_bank": look.in_map.score} for k, look in enumerate(looks)]
+
+
+def compared(looks: Sequence[Look], evidence: Sequence[Mapping[str, float]]) -> list[tuple[Look, float]]:
+    """The looks, likeliest first, and the probability of each that it is the one that is shown: by `COMPARISON`."""
+    odds = np.array([sum(weight * one[name] for name, weight in COMPARISON.items()) for one in evidence])
+    shares = np.exp(odds - odds.max())
+    shares /= shares.sum()
+    return [(looks[k], float(shares[k])) for k in np.argsort(-odds, kind="stable")]
+
+
+def _apart(starts: list[Start]) -> list[Start]:
+    """The starts without those that begin as one before them does."""
+    kept: list[Start] = []
+    for start in starts:
+        turns = (float(start.begin.yaw) - float(one.begin.yaw) for one in kept)
+        if all(abs((turn + math.pi) % (2 * math.pi) - math.pi) > SAME_START for turn in turns):
+            kept.append(start)
+    return kept

@@ -116,7 +116,7 @@ def refine_start(
     how: dict[str, Any] = {"mask": mask, "window": window, "engine": engine}
     first = kept_pose(refine_yaw(start.picture, search.mesh, search.sonar, found, config=config, **how), found)
     estimate, drawn = refine_and_draw(image, search.mesh, search.sonar, first, config=on_frame(config), **how)
-    return estimate, kept_pose(estimate, first), _evidence(drawn, image, seen, mask, engine)
+    return estimate, kept_pose(estimate, first), evidence_of(drawn, image, seen, mask, engine)
 
 
 def peak_bins(scores: np.ndarray, yaws: np.ndarray, count: int) -> list[int]:
@@ -131,7 +131,7 @@ def on_frame(config: RefineConfig) -> RefineConfig:
     return replace(config, blurs=blurs, iterations=iterations, template="either")
 
 
-def _evidence(drawn: Drawn, image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None, engine: Engine) -> Evidence:
+def evidence_of(drawn: Drawn, image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None, engine: Engine) -> Evidence:
     """What speaks for a template in its window of the frame."""
     rows, columns = np.shape(drawn.template)
     top, left = int(drawn.row), int(drawn.column)

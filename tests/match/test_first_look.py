@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +12,8 @@ import pytest
 import sonarjax as sj
 from sonarjax.match import FirstLook, SearchConfig, Sighting, TargetSearch, leading, match_positions
 from sonarjax.match.compact import CompactBank, match_compact
+from sonarjax.match.search import KEPT_COMPACT
+from sonarjax.render import template_bank
 from sonarjax.scene.objects import box
 
 SONAR = sj.Sonar.preset("didson-hf", tilt=math.radians(20), height=0.9, n_ranges=128, range_min=1.5, range_max=4.0)
@@ -76,3 +79,23 @@ def test_a_target_that_is_nowhere_in_view_is_named() -> None:
     search = TargetSearch(high, SONAR, CONFIG, name="balloon", compact=True)
     with pytest.raises(sj.SonarjaxError, match="balloon: at no distance"):
         search.find_near(0, np.zeros(SONAR.shape, np.float32))
+
+
+def test_only_the_banks_that_were_looked_at_last_are_kept(look: FirstLook, monkeypatch: pytest.MonkeyPatch) -> None:
+    rendered: list[float] = []
+
+    def noted(mesh: sj.Mesh, sonar: sj.Sonar, yaws: np.ndarray, *, x: float, **how: Any) -> Any:
+        rendered.append(x)
+        return template_bank(mesh, sonar, yaws, x=x, **how)
+
+    monkeypatch.setattr("sonarjax.match.search.template_bank", noted)
+    search = TargetSearch(boxes()["bar"], SONAR, CONFIG, compact=True)
+    images = [np.asarray(sj.render(search.mesh, sj.Pose(x), SONAR).semantic()) for x in search.distances[1:7]]
+    first = [search.find_near(k + 1, image).scores for k, image in enumerate(images)]
+    assert len(set(rendered)) == len(rendered) == len(images) > KEPT_COMPACT
+    last = search.find_near(len(images), images[-1]).scores
+    assert len(rendered) == len(images)
+    np.testing.assert_array_equal(last, first[-1])
+    again = search.find_near(1, images[0]).scores
+    assert rendered[len(images) :] == rendered[:1]
+    np.testing.assert_array_equal(again, first[0])

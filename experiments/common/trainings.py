@@ -1,12 +1,9 @@
-"""What of the paper's training matters: eq. 3's normaliser and λ, the discriminator, the output, cross-entropy?
+"""Trainings of the paper's recipe that differ in one thing: eq. 3's normaliser and λ, the discriminator, the output.
 
-python -m experiments.ablate_training --seeds 0 1 2                                          the full form: some 7 h
-python -m experiments.ablate_training --seeds 0 1 2 --width 8 --pairs 512 --images 2048      the short form
-
-The full form is the recipe `paper-cpu` at a third of its length: width 16, 10 epochs of the 6,780 pairs of §3.1. The
-short form says what helps early, not where trainings end. All variants differ from the first in one thing only, see the
-same number of images, and are judged on the same validation pairs. An interrupted training goes on from its checkpoint,
-and one that has ended is kept.
+The full form is the recipe `paper-cpu` at a third of its length: width 16, 10 epochs of the 6,780 pairs of §3.1. A
+short form, such as `--width 8 --pairs 512 --images 2048`, says what helps early, not where trainings end. All variants
+see the same number of images, and are judged on the same validation pairs. An interrupted training goes on from its
+checkpoint, and one that has ended is kept.
 """
 
 from __future__ import annotations
@@ -21,16 +18,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.common.engine import engine
-from experiments.common.launch import Report, launch
-from experiments.common.metrics import columns
-from experiments.common.runs import Job, code_digest
 from experiments.train_discriminative import train_to_the_end
 from sonarjax.data import export_pairs, make_pairs, split_key
 from sonarjax.data.folder import MANIFEST
 from sonarjax.data.pairs import PAPER_PAIRS, PAPER_SETTINGS
 from sonarjax.segment.classical import to_grey
 from sonarjax.segment.training import Recipe, find_recipe
-from sonarjax.segment.training.batches import Stored, validation_set
+from sonarjax.segment.training.batches import validation_set
 from sonarjax.segment.training.evaluate import predict_all
 from sonarjax.segment.weights import load_generator
 
@@ -51,59 +45,25 @@ and `cross-entropy alone` is the paper's discriminative model."""
 ALONE = "cross-entropy alone"
 SIZES = {"a quarter of the pairs": 0.25, "four times the pairs": 4.0}
 """What others change, if asked for: how many different pairs there are, seen more or less often."""
-HEADS = {
-    "variant": "variant",
-    "iou_mean": "IoU",
-    "iou_highlight": "of highlight",
-    "iou_shadow": "of shadow",
-    "psnr_db": "PSNR [dB]",
-    "psnr_gain_db": "gain [dB]",
-    "distance": "eq. 3's distance",
-    "pairs": "pairs",
-    "passes": "times seen",
-}
 
 
 @dataclass(frozen=True)
-class Settings:
-    """What is trained."""
+class Trainings:
+    """How large the trainings are."""
 
-    variants: tuple[str, ...] = tuple(VARIANTS)
-    """Which variants, by the names of the table."""
     width: int = 16
-    """Channels of the first layer of both networks."""
+    """Channels of the first layer of both networks (training)."""
     images: int = 10 * PAPER_PAIRS
     """Images that each training sees."""
     pairs: int = PAPER_PAIRS
-    """Different pairs among them, where the variant says nothing else."""
+    """Different pairs among them, where the variant says nothing else (training)."""
     validation_pairs: int = 256
-    """Pairs that judge all variants."""
+    """Pairs that judge all variants (training)."""
     batch: int = 4
-    """Pairs in a step."""
-
-    def __post_init__(self) -> None:
-        """Raises ValueError for a variant that is not known."""
-        unknown = [name for name in self.variants if name not in VARIANTS | SIZES]
-        if unknown:
-            raise ValueError(f"--variants: expected some of {', '.join(VARIANTS | SIZES)}, got {unknown[0]!r}")
+    """Pairs in a step (training)."""
 
 
-def run(settings: Settings, job: Job) -> Report:
-    """One row for each variant, with its training curve."""
-    folder = job.folder / code_digest()  # a training that other code began must not go on
-    shared = folder / "pairs"
-    _share_pairs(shared, settings, job.seed)
-    validation = validation_set(recipe_of("eq. 3", settings, job.seed, shared))
-
-    def measure(variant: str) -> dict[str, Any]:
-        recipe = recipe_of(variant, settings, job.seed, shared)
-        return _measure(recipe, folder / variant.replace(" ", "_"), validation)
-
-    found = job.map(measure, settings.variants, "trainings")
-    return {"rows": [{"variant": name} | values for name, values in found.items()]}
-
-
-def _share_pairs(folder: Path, settings: Settings, seed: int) -> None:
+def share_pairs(folder: Path, settings: Trainings, seed: int) -> None:
     """Keep the usual pairs in `folder`, and those that judge behind them: made once, they serve all variants."""
     if (folder / MANIFEST).exists():
         return
@@ -115,7 +75,7 @@ def _share_pairs(folder: Path, settings: Settings, seed: int) -> None:
     export_pairs(jax.tree.map(lambda *parts: jnp.concatenate(parts), *made), folder)
 
 
-def recipe_of(variant: str, settings: Settings, seed: int, shared: Path) -> Recipe:
+def recipe_of(variant: str, settings: Trainings, seed: int, shared: Path) -> Recipe:
     """The training of a variant of the paper's recipe, on the pairs in `shared`, or the first of them.
 
     Where there are more, the same and others are made again, the usual number in each set.
@@ -139,14 +99,19 @@ def recipe_of(variant: str, settings: Settings, seed: int, shared: Path) -> Reci
     )
 
 
-def _measure(recipe: Recipe, folder: Path, validation: Stored) -> dict[str, Any]:
-    """Validation metrics at the end, eq. 3's distance on the same pairs (N affine), and the curve of each metric."""
+def train(variant: str, settings: Trainings, shared: Path, seed: int) -> dict[str, Any]:
+    """Validation metrics at the end, eq. 3's distance on the same pairs (N affine), and the curve of each metric.
+
+    The checkpoints lie beside the folder `shared` of pairs.
+    """
+    recipe, folder = recipe_of(variant, settings, seed, shared), shared.with_name(variant.replace(" ", "_"))
     result = train_to_the_end(recipe, folder)
     assert result.weights is not None
+    validation = validation_set(recipe_of("eq. 3", settings, seed, shared))
     grey = predict_all(recipe.networks, load_generator(result.weights).variables, validation)
     # Grey runs from 0 to 1 where eq. 3 has −1 to 1, which the affine N halves again: one difference.
     distance = float(np.abs(grey - to_grey(validation.labels)).mean())
-    counts = {"pairs": float(recipe.pairs * recipe.sets), "passes": float(recipe.passes)}
+    counts = {"pairs": recipe.pairs * recipe.sets, "passes": recipe.passes}
     return result.metrics | {"distance": distance} | counts | {"curve": _curve(folder, recipe.batch)}
 
 
@@ -156,14 +121,3 @@ def _curve(folder: Path, batch: int) -> dict[str, list[float]]:
     epochs = [json.loads(line) for line in lines]
     named = {name: [float(epoch[name]) for epoch in epochs] for name in epochs[0] if name not in ("epoch", "step")}
     return {"images": [float(epoch["step"] * batch) for epoch in epochs]} | named
-
-
-def table(report: Report) -> str:
-    """The rows as a table."""
-    whole = [row | {key: f"{row[key]:.0f}" for key in ("pairs", "passes")} for row in report["rows"]]
-    return columns(whole, HEADS)
-
-
-if __name__ == "__main__":
-    small = {"variants": ("eq. 3", ALONE), "width": 4, "images": 16, "pairs": 8, "validation_pairs": 8, "batch": 4}
-    launch(run, Settings, table, smoke=small)
