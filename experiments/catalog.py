@@ -50,9 +50,9 @@ SMOKE = {"frames": 1, "of_strangers": 1, "objects": 2, "strangers": 1, "tilts_de
 class Settings:
     """What is shown."""
 
-    frames: int = 4
+    frames: int = 2
     """Frames of each object on drawn devices and on the judge; half as many of the widest family."""
-    of_strangers: int = 3
+    of_strangers: int = 1
     """Frames of each object that is not in the catalogue, in each set."""
     objects: int = 24
     """Objects of the catalogue, from its beginning."""
