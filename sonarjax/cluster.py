@@ -1,8 +1,8 @@
-"""Work shared among the workers of a Dask cluster: optional, and used by entry points alone (extra `cluster`).
-
+"""Share work among the workers of a Dask cluster: optional, used only by entry points (extra `cluster`).
 `connect("local:4")` or `connect("tcp://host:8786")` gives an engine whose `stream` runs in other processes. Results
-come in the order of the items and are those of one process; what a killed worker was at is done again by another.
-Workers need the same packages; no file system needs to be shared, for arguments and results travel through Dask.
+come in the order of the items, and are the same as those of one process. What a killed worker was computing is computed
+again by another. Workers need the same packages. They need not share a file system, because arguments and results
+travel through Dask.
 """
 
 from __future__ import annotations
@@ -20,33 +20,35 @@ from sonarjax.engine import Engine
 from sonarjax.io.errors import SonarjaxError
 
 DEATHS = 1000
-"""Workers that one item may see die before it is given up: they may be killed for reasons of their own."""
+"""How many workers may die at one item before it is given up; they may be killed for unrelated reasons."""
 CONNECT_S = 10
-"""How long a scheduler is waited for [s]."""
+"""How long to wait for a scheduler [s]."""
 AHEAD = 2
-"""Items that are under way for each thread of the workers."""
+"""Number of items that are submitted for each thread of the workers."""
 
 
 class ClusterEngine(CpuEngine):
-    """Streams over the workers of a cluster; all else runs here, as with `CpuEngine`."""
+    """An engine that streams over the workers of a cluster; everything else runs here, as with `CpuEngine`."""
 
     def __init__(self, client: Any) -> None:
-        """`client` is a distributed.Client."""
+        """Use `client`, a distributed.Client."""
         super().__init__()
         self.client = client
 
     def threads(self) -> int:
-        """Threads of all workers that are there now."""
+        """Number of threads of all present workers."""
         return sum(self.client.nthreads().values())
 
     def stream(self, function: Callable[[Any, Any, Engine], Any], shared: Any, items: Iterable[Any]) -> Iterator[Any]:
-        """As `Engine.stream`; the first item alone, since its worker compiles for the others on its machine.
+        """As `Engine.stream`. The first item runs alone, because its worker compiles for the others on its machine.
+        Raises whatever `function` raises.
 
-        Raises what `function` raises, and SonarjaxError when the scheduler is gone, or has no worker for too long.
+        Raises:
+            SonarjaxError: The scheduler is gone, or too many workers died at one item.
         """
         from distributed import CancelledError, KilledWorker
 
-        # A task, not data that is handed out: Dask makes it again where a killed worker held it.
+        # Submitted as a task, not scattered as data, so that Dask makes it again if the worker that held it is killed.
         kept = self.client.submit(_same, shared, pure=False)
         rest = iter(items)
 
@@ -61,7 +63,7 @@ class ClusterEngine(CpuEngine):
                 try:
                     done = future.result()
                     break
-                except KilledWorker:  # the scheduler has given it up, we have not
+                except KilledWorker:  # the scheduler has given the item up, but we try again
                     kept = self.client.submit(_same, shared, pure=False)
                     future = start(item)[1]
                 except CancelledError as error:
@@ -79,7 +81,7 @@ def _same(value: Any) -> Any:
 
 
 def _on_worker(function: Callable[[Any, Any, Engine], Any], shared: Any, item: Any) -> Any:
-    """On a worker: `function(shared, item, engine)` with the worker's own engine."""
+    """On a worker: call `function(shared, item, engine)` with the worker's own engine."""
     return function(shared, item, _own_engine())
 
 
@@ -91,10 +93,13 @@ def _own_engine() -> CpuEngine:
 
 @contextmanager
 def connect(address: str) -> Iterator[ClusterEngine]:
-    """An engine on the cluster at `address`: a scheduler's, the path of its file (*.json), or `local[:N]`.
+    """Connect to the cluster at `address` and give an engine on it; a context manager.
+    Args:
+        address: The address of a scheduler, the path of its file (*.json), or `local[:N]`, which starts N worker
+            processes (default: one for each core) and ends them afterwards.
 
-    `local` starts N worker processes (default: one for each core) and ends them. Raises SonarjaxError when `address`
-    is none of these, nobody answers there, or the package `distributed` is missing.
+    Raises:
+        SonarjaxError: `address` is none of these, nobody answers there, or the package `distributed` is missing.
     """
     try:
         import dask

@@ -1,8 +1,7 @@
-"""Everything that is only there to be fast on a CPU: optional, and used by entry points alone.
-
-`tune()` sets the process up (compiler flags, compilation cache) before anything is computed; `CpuEngine` spreads work
-over the cores and keeps traced programs beside the compiled ones, so that a second process skips Python's tracing.
-Two lines for a script of your own: `sonarjax.cpu.tune()`, then `Recognizer(..., engine=sonarjax.cpu.CpuEngine())`.
+"""Everything that only serves speed on a CPU: optional, used only by entry points.
+`tune()` sets the process up (compiler flags, compilation cache) before anything is computed. `CpuEngine` spreads work
+over the cores, and stores traced programs next to the compiled ones, so that a second process skips Python's tracing.
+In your own script use two lines: `sonarjax.cpu.tune()`, then `Recognizer(..., engine=sonarjax.cpu.CpuEngine())`.
 """
 
 from __future__ import annotations
@@ -34,32 +33,35 @@ from sonarjax.render.bank import BankViews
 from sonarjax.scene import Pose
 
 MIN_COMPILE_SECONDS = 0.2
-"""Least time to compile [s] of what is kept on disk: below it, reading a file back gains nothing."""
-# The emitters of XLA's older CPU compiler take half the time for the renderer, and what they make is no slower. Newer
-# compilers know the flag no more, and end the process that gives it.
+"""Programs that compile faster than this [s] are not stored: reading the file back would save nothing."""
+# The emitters of XLA's older CPU compiler compile the renderer in half the time, into code that is no slower. Newer
+# versions do not know this flag, and end a process that sets it.
 FLAGS = ("--xla_cpu_use_fusion_emitters=false",) if jax.__version_info__ < (0, 11) else ()
 COMPILER_OPTIONS = {"xla_backend_optimization_level": 1, "xla_llvm_disable_expensive_passes": True}
-"""How the programs of `CpuEngine` are compiled: in four fifths of the time; their own speed is
-the same as far as two busy cores can tell."""
+"""How the programs of `CpuEngine` are compiled: in four fifths of the time, into code that is as fast as far as
+measurements on two busy cores can tell.
+"""
 # <malloc.h>: M_ARENA_MAX, M_MMAP_MAX, M_TRIM_THRESHOLD and M_TOP_PAD.
 _MEMORY = {-8: 1, -4: 0, -1: 2**31 - 1, -2: 256 * 2**20}
 _CACHE = "jax_compilation_cache_dir"
 _OFF = ("", "0", "false", "no")
 DIGEST_BYTES = 32
-"""Length of the SHA-256 digest that a program's file begins with."""
+"""Length of the SHA-256 digest at the start of a program's file."""
 
 
 def tune() -> Path | None:
-    """Set this process up for a CPU: call it before JAX computes anything. Returns the cache folder, None without one.
+    """Set this process up for a CPU. Call it before JAX computes anything. Never raises.
+    `SONARJAX_NO_CACHE=1` turns the compilation cache off, and `SONARJAX_CACHE_DIR` moves it.
 
-    `SONARJAX_NO_CACHE=1` turns the cache off, `SONARJAX_CACHE_DIR` moves it. Never raises.
+    Returns:
+        The cache folder; None if there is no cache.
     """
     use_quick_compiler()
     return enable_compilation_cache()
 
 
 def use_quick_compiler() -> None:
-    """Have XLA compile for the CPU quickly, unless the user's XLA_FLAGS say otherwise."""
+    """Make XLA compile quickly for the CPU, unless the user's XLA_FLAGS say otherwise."""
     given = os.environ.get("XLA_FLAGS", "")
     wanted = [flag for flag in FLAGS if flag.partition("=")[0] not in given]
     if wanted:
@@ -67,11 +69,13 @@ def use_quick_compiler() -> None:
 
 
 def enable_compilation_cache() -> Path | None:
-    """Let JAX keep compiled code on disk; returns the folder in use, or None where there is no cache.
+    """Let JAX store compiled code on disk.
+    By default it lies in the user's cache folder (`XDG_CACHE_HOME`, else `~/.cache`). A cache that the user has set up
+    for JAX is left alone, and so are thresholds that are set for JAX. Compiled code is trusted code, for one type of
+    processor and one JAX version. The folder belongs to the user, and may be deleted at any time.
 
-    By default it lies in the user's cache folder (`XDG_CACHE_HOME`, else `~/.cache`). A cache that the user set up for
-    JAX is left as it is, and so are JAX's own thresholds where they are set. Compiled code is trusted code, of one
-    processor type and JAX version: the folder is the user's own, and may be deleted at any time.
+    Returns:
+        The folder in use; None if there is no cache.
     """
     if os.environ.get("SONARJAX_NO_CACHE", "").lower() not in _OFF:
         return None
@@ -88,12 +92,11 @@ def enable_compilation_cache() -> Path | None:
 
 
 def keep_memory() -> bool:
-    """Have this process keep the memory that it frees; True where that is possible (glibc).
-
-    For programs that train: XLA's CPU allocates what a step needs anew each time (70 MB at width 16), and the C library
-    gives blocks of that size back to the kernel, which hands them out again zeroed: a third of a step can go into it.
-    Call it before the first step. Large pages help a little more, but can only be asked for as a program starts:
-    GLIBC_TUNABLES=glibc.malloc.hugetlb=1.
+    """Make this process keep the memory that it frees. Returns True if that is possible (glibc).
+    This is for training. XLA's CPU backend allocates the buffers of each step anew (70 MB at width 16). The C library
+    returns blocks of that size to the kernel, which zeroes them before it hands them out again: this can take a third
+    of a step. Call it before the first step. Large pages help a little more, but can only be requested when a program
+    starts: GLIBC_TUNABLES=glibc.malloc.hugetlb=1.
     """
     if not sys.platform.startswith("linux"):
         return False
@@ -105,10 +108,10 @@ def keep_memory() -> bool:
 
 
 class CpuEngine(Engine):
-    """An engine with a thread for each core, and programs that are traced once and then read from disk."""
+    """An engine with a thread for each core, and with programs that are traced once and then read from disk."""
 
     def __init__(self, folder: Path | None = None) -> None:
-        """`folder` is where traced programs are kept; by default beside the compilation cache, if that is on."""
+        """Store traced programs in `folder`, by default next to the compilation cache if there is one."""
         compiled = getattr(jax.config, _CACHE)
         self._folder = folder or (Path(compiled) / "programs" if compiled else None)
         self._programs: dict[Any, Future[Any]] = {}
@@ -117,16 +120,16 @@ class CpuEngine(Engine):
         _register_results()
 
     def run(self, function: Callable[..., Any], *args: Any, **static: Any) -> Any:
-        """As `Engine.run`; a program is compiled once, however many threads ask for it."""
+        """As `Engine.run`. A program is compiled only once, however many threads ask for it."""
         if self._folder is None or any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(args)):
             return function(*args, **static)
         leaves, program = self._program(function, args, static)
         return program.result()(leaves)
 
     def prepare(self, function: Callable[..., Any], *args: Any, **static: Any) -> None:
-        """Trace for arguments of these shapes now, and compile in the background.
-
-        Both at once would be slower: Python traces on one thread at a time, the compiler needs none of it.
+        """Trace now for arguments of these shapes, and compile in the background.
+        Tracing in the background as well would be slower: Python traces on one thread at a time, while the compiler
+        runs without Python.
         """
         if self._folder is not None:
             self._program(function, args, static, wait=False)
@@ -134,7 +137,7 @@ class CpuEngine(Engine):
     def _program(
         self, function: Any, args: Any, static: dict[str, Any], wait: bool = True
     ) -> tuple[list[Any], Future[Any]]:
-        """The arguments' leaves, and the program of them: made here, or by whoever asked first."""
+        """The arguments' leaves, and the program for them, made here or by the thread that asked first."""
         leaves, tree = jax.tree.flatten(args)
         leaves = [leaf if hasattr(leaf, "dtype") else np.asarray(leaf, _plain_type(leaf)) for leaf in leaves]
         key = (function, tree, tuple((v.shape, str(v.dtype)) for v in leaves), tuple(sorted(static.items(), key=_name)))
@@ -148,7 +151,7 @@ class CpuEngine(Engine):
                 if wait:
                     self._compile(key, program, lowered)
                 else:
-                    # No daemon: a compiler that is cut off while the interpreter ends takes the process down with it.
+                    # Not a daemon thread: a compiler that is cut off when the interpreter ends crashes the process.
                     threading.Thread(target=self._compile, args=(key, program, lowered)).start()
         return leaves, program
 
@@ -158,7 +161,7 @@ class CpuEngine(Engine):
 
     @contextmanager
     def _told(self, key: Any, program: Future[Any]) -> Iterator[None]:
-        """Whoever waits for a program is told why there is none; the next call tries again."""
+        """Pass an error on to all threads that wait for the program. The next call tries again."""
         try:
             yield
         except BaseException as error:
@@ -166,7 +169,7 @@ class CpuEngine(Engine):
             program.set_exception(error)
 
     def map(self, function: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
-        """As `Engine.map`, with a thread for each core; each waits for its results."""
+        """As `Engine.map`, with a thread for each core; each thread waits until its results are computed."""
         items = list(items)
         if len(items) < 2 or cores() < 2 or getattr(self._busy, "inside", False):
             return [function(item) for item in items]
@@ -179,7 +182,9 @@ class CpuEngine(Engine):
             return list(pool.map(one, items))
 
     def stream(self, function: Callable[[Any, Any, Engine], Any], shared: Any, items: Iterable[Any]) -> Iterator[Any]:
-        """As `Engine.stream`, with a thread for each core; the first alone, since it compiles for the others."""
+        """As `Engine.stream`, with a thread for each core. The first item runs alone, because it compiles for
+        the others.
+        """
         rest = iter(items)
         for first in rest:
             yield function(shared, first, self)
@@ -193,7 +198,7 @@ class CpuEngine(Engine):
 
 
 def cores() -> int:
-    """Cores that this process may use."""
+    """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -202,12 +207,12 @@ def _name(item: tuple[str, Any]) -> str:
 
 
 def _plain_type(value: Any) -> Any:
-    """The type that JAX gives a plain Python number."""
+    """The type that JAX gives to a plain Python number."""
     return np.bool_ if isinstance(value, bool) else np.int32 if isinstance(value, int) else np.float32
 
 
 def _lowered(function: Callable[..., Any], args: Any, static: dict[str, Any], folder: Path) -> Any:
-    """The function of a flat list of leaves, traced now, or read from where an earlier process left it."""
+    """Lower the function of a flat list of leaves: read it from an earlier process's file, or trace it now."""
     leaves, tree = jax.tree.flatten(args)
 
     def of_leaves(values: list[Any]) -> Any:
@@ -222,7 +227,7 @@ def _lowered(function: Callable[..., Any], args: Any, static: dict[str, Any], fo
 
 
 def _digest(function: Any, tree: Any, leaves: list[Any], static: dict[str, Any]) -> str:
-    """A name for one program: the function, the types it is called with, and the code and versions behind it."""
+    """A name for one program, from the function, the types of its arguments, and the code and versions behind it."""
     facts = (
         f"{function.__module__}.{function.__qualname__}", str(tree), [(v.shape, str(v.dtype)) for v in leaves],
         sorted((name, repr(value)) for name, value in static.items()), jax.__version__, _source_digest(),
@@ -233,7 +238,7 @@ def _digest(function: Any, tree: Any, leaves: list[Any], static: dict[str, Any])
 
 @cache
 def _source_digest() -> str:
-    """One number for all code of the package: a program of other code is not used."""
+    """A digest of the package's source code, so that a program of other code is not used."""
     digest = hashlib.sha256()
     for file in sorted(Path(__file__).parent.rglob("*.py")):
         digest.update(file.read_bytes())
@@ -241,7 +246,7 @@ def _source_digest() -> str:
 
 
 def _read(path: Path) -> Any:
-    """The program of a file, or None where there is none, or it is not whole: it is traced again then."""
+    """The program in a file; None if there is none or it is incomplete, in which case it is traced again."""
     try:
         data = path.read_bytes()
     except OSError:
@@ -251,7 +256,7 @@ def _read(path: Path) -> Any:
 
 
 def _write(path: Path, program: Any) -> None:
-    """Keep a program behind its digest; where nothing can be written, what can be computed goes on without."""
+    """Store a program behind its digest. If it cannot be written, the computation continues without."""
     data = program.serialize()
     try:
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -262,7 +267,7 @@ def _write(path: Path, program: Any) -> None:
 
 @cache
 def _register_results() -> None:
-    """Tell JAX how the records that programs return are named in its files."""
+    """Tell JAX under which names the records that programs return are stored in its files."""
     export.register_namedtuple_serialization(BankViews, serialized_name="sonarjax.BankViews")
     for record in (PoseEstimate, Pose, Drawn, Evidence):
         export.register_pytree_node_serialization(
@@ -283,7 +288,7 @@ def _names_of_bytes(data: bytes) -> tuple[tuple[str, ...], ...]:
 
 
 def _writable_folder() -> Path | None:
-    """The folder of this JAX and this processor, made if need be; None where it cannot be written."""
+    """The folder for this JAX version and processor, made if needed; None if it cannot be written."""
     try:
         folder = _root() / f"jax-{jax.__version__}-{_processor()}"
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -301,14 +306,14 @@ def _root() -> Path:
 
 
 def _processor() -> str:
-    """Eight hex digits for the instruction set: a home folder may be shared by machines of several kinds.
-
-    XLA on a CPU compiles for the machine it runs on. Loading that code elsewhere prints long errors at best.
+    """Eight hex digits for the instruction set, because machines of several kinds may share a home folder.
+    On a CPU, XLA compiles for the machine on which it runs. Loading that code on another machine prints long errors at
+    best.
     """
     features = platform.machine() + platform.processor()
     try:
         with open("/proc/cpuinfo", encoding="utf-8", errors="replace") as lines:
             features += next((line for line in lines if line.startswith(("flags", "Features"))), "")
     except OSError:
-        pass  # not Linux: the name of the machine has to do
+        pass  # not Linux: the name of the machine must suffice
     return hashlib.sha256(features.encode()).hexdigest()[:8]

@@ -1,6 +1,5 @@
-"""How compiled functions are run: `Engine` is plain JAX; `sonarjax.cpu.CpuEngine` replaces it where speed counts.
-
-Host functions such as `template_bank` and `Recognizer` run their compiled parts through an engine that they are given.
+"""How compiled functions are run. `Engine` is plain JAX; `sonarjax.cpu.CpuEngine` replaces it where speed matters.
+Host functions such as `template_bank` and `Recognizer` take an engine and run their compiled parts through it.
 """
 
 from __future__ import annotations
@@ -10,26 +9,27 @@ from typing import Any
 
 
 class Engine:
-    """Plain JAX: functions compile when they are first called, and items are taken one after another."""
+    """Plain JAX: functions compile when they are first called, and items are processed one after another."""
 
     def run(self, function: Callable[..., Any], *args: Any, **static: Any) -> Any:
-        """`function(*args, **static)` of a function under `jax.jit` whose static arguments are named."""
+        """Call `function(*args, **static)`, a function under `jax.jit` whose static arguments are passed by name."""
         return function(*args, **static)
 
     def prepare(self, function: Callable[..., Any], *args: Any, **static: Any) -> None:
-        """Note that `run` will be called with arguments of these shapes: here nothing is done about it."""
+        """Announce that `run` will be called with arguments of these shapes. This engine does nothing about it."""
 
     def map(self, function: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
-        """[function(item) for item in items]."""
+        """Compute [function(item) for item in items]."""
         return [function(item) for item in items]
 
     def stream(self, function: Callable[[Any, Any, Engine], Any], shared: Any, items: Iterable[Any]) -> Iterator[Any]:
-        """`function(shared, item, engine)` of each item in order, few at a time: the memory does not grow with them.
-
-        `function` stands in a module, for an engine may run it in another process; `engine` is that of the process.
+        """Yield `function(shared, item, engine)` for each item in order, few at a time, so that memory does not grow
+        with them.
+        `function` must be defined in a module, because an engine may run it in another process. `engine` is then that
+        process's own.
         """
         return (function(shared, item, self) for item in items)
 
 
 PLAIN = Engine()
-"""The engine of whoever names none. It holds no state."""
+"""The engine that is used if no other is given. It holds no state."""

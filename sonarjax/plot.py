@@ -1,8 +1,7 @@
-"""Pictures of frames and results: polar and fan views with axes in metres and degrees; no logic of its own.
-
-Every function draws into a matplotlib `Axes` or returns a `Figure`; pyplot and its global state are never used. The
-sonar is at the bottom and port is on the left in both views, so column 0 of an image (starboard-most) is on the right.
-Colours can be told apart by the colour-blind (Okabe and Ito) and in grey print.
+"""Pictures of frames and results: polar and fan views with axes in metres and degrees. No computation of results.
+Every function draws into a matplotlib `Axes` or returns a `Figure`; pyplot and its global state are never used. In both
+views the sonar is at the bottom and port is on the left, so column 0 of an image (starboard-most) is on the right. The
+colours can be told apart by colour-blind readers (Okabe and Ito) and in grey print.
 """
 
 from __future__ import annotations
@@ -26,8 +25,8 @@ from sonarjax.sonar import Sonar
 HIGHLIGHT_COLOR = "#E69F00"  # orange
 SHADOW_COLOR = "#56B4E9"  # sky blue
 MARK_COLOR = "#D55E00"  # vermilion
-UNLIT_COLOR = "#1F2B4D"  # floor outside the vertical aperture: no grey, so that it is not taken for a value
-HIGHLIGHT_LEVEL, SHADOW_LEVEL = 0.75, 0.25  # of the semantic image: half-way from the background to each class
+UNLIT_COLOR = "#1F2B4D"  # floor outside the vertical aperture; not a grey, which could be mistaken for a value
+HIGHLIGHT_LEVEL, SHADOW_LEVEL = 0.75, 0.25  # in the semantic map: half-way between the background and each class
 
 View = Literal["polar", "fan"]
 
@@ -42,9 +41,16 @@ def plot_polar(
     vmax: float | int | None = 1,
 ) -> QuadMesh:
     """Draw an image (range, beam) over azimuth [deg] and range [m], port on the left, near at the bottom.
+    Args:
+        ax: Axes to draw into.
+        image: The image (range, beam). NaN is shown as unlit.
+        sonar: Gives the axes.
+        cmap: Name of the colour map.
+        vmin: Value of the darkest colour; None for the image's smallest.
+        vmax: Value of the brightest colour; None for the image's largest.
 
-    `vmin` and `vmax` are the values of the darkest and brightest colour, None for the image's own. NaN is left out.
-    Raises SonarjaxError when the image does not have the sonar's shape.
+    Raises:
+        SonarjaxError: The image does not have the sonar's shape.
     """
     azimuth, ranges = np.meshgrid(np.degrees(_azimuth_edges(sonar)), _range_edges(sonar))
     mesh = _mesh(ax, azimuth, ranges, image, sonar, cmap, vmin, vmax)
@@ -63,10 +69,9 @@ def plot_fan(
     vmin: float | int | None = 0,
     vmax: float | int | None = 1,
 ) -> QuadMesh:
-    """Draw an image (range, beam) as the true fan in metres, port on the left, the sonar below at (0, 0).
-
-    Lengths are slant ranges: forward is range · cos(azimuth), lateral is range · sin(azimuth) [m]. `vmin`, `vmax` and
-    errors as in `plot_polar`.
+    """Draw an image (range, beam) as a true fan in metres, port on the left, the sonar below at (0, 0).
+    Lengths are slant ranges: forward is range · cos(azimuth), lateral is range · sin(azimuth) [m]. Arguments and errors
+    as in `plot_polar`.
     """
     lateral, forward = _fan(*np.meshgrid(_azimuth_edges(sonar), _range_edges(sonar)))
     mesh = _mesh(ax, lateral, forward, image, sonar, cmap, vmin, vmax)
@@ -80,9 +85,11 @@ def plot_fan(
 
 
 def plot_frame(frame: SonarFrame, sonar: Sonar) -> Figure:
-    """A rendered frame: its intensity [dB] above, its semantic image below, each in polar and fan view.
+    """Draw a rendered frame: its intensity [dB] above, its semantic map below, each in polar and fan view.
+    Floor that is not insonified is blue.
 
-    Floor that the sonar does not insonify is blue. Raises SonarjaxError when the frame does not have the sonar's shape.
+    Raises:
+        SonarjaxError: The frame does not have the sonar's shape.
     """
     lit = np.asarray(frame.lit)
     rows: list[tuple[Any, float, float, str, str]] = [
@@ -105,9 +112,8 @@ def plot_frame(frame: SonarFrame, sonar: Sonar) -> Figure:
 
 
 def plot_calibration(images: Sequence[Any], before: Sequence[Any], after: Sequence[Any], sonar: Sonar) -> Figure:
-    """Frames (range, beam) with outlines of the target's templates above, of the `before` ones, and of those `after`.
-
-    All are lists of the same length; axes are those of `sonar`.
+    """Draw frames (range, beam) with outlines of the target's templates: above those `before`, below those `after`.
+    The three lists have the same length; axes are those of `sonar`.
     """
     figure = Figure(figsize=(3.2 * max(len(images), 2), 8.0), layout="constrained")
     for row, (title, templates) in enumerate((("nominal", before), ("fitted", after))):
@@ -126,7 +132,9 @@ def plot_scores(
     *,
     threshold: float | int | None = None,
 ) -> None:
-    """Draw the correlation `scores` (yaw,) over `yaws` (yaw,) [rad] in degrees from 0 to 360, the best one marked."""
+    """Draw the correlation `scores` (yaw,) over `yaws` (yaw,) [rad], shown in degrees from 0 to 360; the best
+    is marked.
+    """
     degrees, values = np.degrees(np.asarray(yaws, np.float64)) % 360.0, np.asarray(scores)
     order = np.argsort(degrees)
     ax.plot(degrees[order], values[order], ".-", color="#0072B2", markersize=4, linewidth=1)
@@ -149,10 +157,18 @@ def draw_outline(
     view: View = "polar",
     linewidth: float | int = 1.2,
 ) -> None:
-    """Draw the outlines of a semantic template (h, w) over a frame: highlight orange, shadow blue and dashed.
+    """Draw the outlines of a template (h, w) over a frame: highlight orange, shadow blue and dashed.
+    Args:
+        ax: Axes with the frame.
+        template: Semantic map of the target (h, w).
+        sonar: Gives the axes.
+        offset: Row and column of the template's first pixel in the frame (`TemplateBank.offset`, or where it matched
+            best).
+        view: The view in which the frame was drawn.
+        linewidth: Width of the lines [points].
 
-    `offset` is the row and column of the template's first pixel in the frame (`TemplateBank.offset`, or where it
-    matched best). Raises SonarjaxError when the template is not inside the sonar's image.
+    Raises:
+        SonarjaxError: The template is not inside the sonar's image.
     """
     values = np.asarray(template, np.float64)
     (row, column), (height, width) = offset, values.shape
@@ -166,14 +182,14 @@ def draw_outline(
     angle, distance = np.meshgrid(azimuth, ranges)
     across, along = (np.degrees(angle), distance) if view == "polar" else _fan(angle, distance)
     for level, color, style in ((HIGHLIGHT_LEVEL, HIGHLIGHT_COLOR, "-"), (SHADOW_LEVEL, SHADOW_COLOR, "--")):
-        if values.min() < level < values.max():  # matplotlib warns of a level without a line
+        if values.min() < level < values.max():  # matplotlib warns about a level without a line
             ax.contour(across, along, values, levels=[level], colors=color, linestyles=style, linewidths=linewidth)
 
 
 def save_figure(figure: Figure, path: str | os.PathLike[str], dpi: float | int = 150) -> None:
-    """Write a figure in one step: PDF or SVG where `path` ends so, else PNG; the same figure gives the same PNG.
-
-    Raises SonarjaxError when it cannot be written; what stood at `path` is then unchanged.
+    """Write a figure in one step, as PDF or SVG if `path` ends so, else as PNG. The same figure gives the same PNG.
+    Raises:
+        SonarjaxError: The file cannot be written. What was at `path` is then unchanged.
     """
     ending = os.path.splitext(os.fspath(path))[1].lower()
     kind = ending[1:] if ending in (".pdf", ".svg") else "png"
@@ -182,7 +198,9 @@ def save_figure(figure: Figure, path: str | os.PathLike[str], dpi: float | int =
 
 
 def decibel(intensity: Real[np.ndarray, "range beam"], floor: float = -60.0) -> Float[np.ndarray, "range beam"]:
-    """Intensity (range, beam) in dB relative to its largest value, at least `floor` [dB]; all `floor` where it is 0."""
+    """Intensity (range, beam) in dB relative to its maximum, at least `floor` [dB]; `floor` everywhere if the
+    maximum is 0.
+    """
     peak = float(np.max(intensity))
     if not peak > 0:
         return np.full(intensity.shape, floor)

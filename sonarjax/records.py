@@ -1,7 +1,6 @@
-"""`record`: frozen dataclasses as JAX pytrees, whose unflattening bypasses the constructor.
-
-A constructor may broadcast, convert or check what a user gives it; JAX rebuilds a record from tracers, shape structs
-and placeholders, which must pass through untouched. Fields marked by `static()` decide shapes and are not leaves.
+"""`record`: frozen dataclasses as JAX pytrees that are rebuilt without calling their constructor.
+A constructor may broadcast, convert or check what a user gives it. JAX rebuilds a record from tracers, shape structs
+and placeholders, which must pass through unchanged. Fields marked by `static()` decide shapes and are not leaves.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ T = TypeVar("T")
 
 
 def static(**options: Any) -> Any:
-    """A dataclass field that is no leaf: it is hashed, and another value means other compiled code."""
+    """A dataclass field that is not a leaf: it is hashed, and another value means other compiled code."""
     return dataclasses.field(**options, metadata={"static": True})
 
 

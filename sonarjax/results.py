@@ -1,4 +1,4 @@
-"""What was found in a frame as one JSON object, for the command line and for streams."""
+"""The result for a frame as one JSON object, for the command line and for streams."""
 
 from __future__ import annotations
 
@@ -10,18 +10,17 @@ from sonarjax.refine import YawMode, YawSet
 from sonarjax.track.sequence import Tracked
 
 SCHEMA = 2
-"""Of a line of results: 2 has `converged`, `target`, `runner_up` and `margin`."""
+"""Version of a line of results; 2 has `converged`, `target`, `runner_up` and `margin`."""
 
 
 COVERAGES = {"within_68": 0.68, "within_95": 0.95}
-"""Shares of the sets of yaw intervals that a line holds, by their names there."""
+"""Coverages of the sets of yaw intervals in a line, by their names there."""
 
 
 def record_of(result: Recognition, frame: str, seconds: float, tracked: Tracked | None = None) -> dict[str, Any]:
-    """One line of the results file of a Recognition: angles in degrees in [0, 360), lengths in metres.
-
-    `seconds` [s] is what it took. With `tracked`, yaw, its standard deviation, x, y and hypotheses are the belief's,
-    and the frame's own yaw stands beside them.
+    """One line of the results file for a Recognition: angles in degrees in [0, 360), lengths in metres.
+    `seconds` [s] is the time it took. With `tracked`, yaw, its standard deviation, x, y and the hypotheses are those of
+    the belief, and the frame's own yaw is added.
     """
 
     def degrees(angle: float | None) -> float | None:
@@ -58,7 +57,9 @@ def record_of(result: Recognition, frame: str, seconds: float, tracked: Tracked 
 
 
 def _yaws(allowed: YawSet) -> dict[str, Any]:
-    """Modes of a set of yaws, and its disjoint intervals of each coverage: [low, high) in degrees, and their weight."""
+    """The modes of a set of yaws, and for each coverage its disjoint intervals [low, high) in degrees, with
+    their weights.
+    """
     found: dict[str, Any] = {
         "modes": [
             {"yaw_deg": math.degrees(one.yaw), "yaw_std_deg": math.degrees(one.yaw_std), "weight": one.weight}
@@ -74,7 +75,7 @@ def _yaws(allowed: YawSet) -> dict[str, Any]:
 
 
 def _believed(tracked: Tracked, frame_yaw_deg: float | None) -> dict[str, Any]:
-    """What a line says of a belief, in place of what the frame alone says: each mode's score is its probability."""
+    """The fields of a line that come from a belief instead of the frame alone. Each mode's score is its probability."""
     best, modes = tracked.best, tracked.modes
     total = sum(mode.probability for mode in modes)
     allowed = YawSet(tuple(YawMode(mode.yaw, mode.yaw_std, mode.probability / total) for mode in modes))

@@ -26,13 +26,13 @@ from sonarjax.sensor import SensorModel
 from sonarjax.sonar import GeometryStd, Sonar
 
 HEIGHT_STEP = 0.1
-"""A height known no better than this [m] is searched for in such steps, before anything is fitted."""
+"""A height that is known less well than this [m] is first searched for in such steps."""
 SEARCHED = 6
-"""Frames that the search for the height looks at, at most."""
+"""Most frames that are used in the search for the height."""
 LIKELY = 0.5
-"""Least probability of a frame that is fitted."""
+"""Least probability that the target is shown in a frame that is fitted."""
 LEAST_SHARE, LEAST_FRAMES = 0.25, 3
-"""The likeliest share of the frames, and number of them, that are fitted first in any case."""
+"""The first fit uses at least this share and this number of the frames: the likeliest ones."""
 
 
 @dataclass(frozen=True)
@@ -40,37 +40,43 @@ class Calibration:
     """What `calibrate` found."""
 
     sonar: Sonar
-    """The nominal sonar with the numbers that the frames determine."""
+    """The nominal sonar, with the numbers that the frames determine replaced."""
     sensor: SensorModel
-    """The nominal device with the object's gain, noise, display exponent, skirt, pulse and beam width that were found.
-
-    `tvg_exponent` is the slope of the noise. Nearest values of another model: for comparison, not for simulation."""
+    """The nominal device, with the fitted object gain, noise, display exponent, skirt, pulse and beam width.
+    `tvg_exponent` is the slope of the noise. The fitted model is another one than `SensorModel`, so these are the
+    nearest values: good for comparison, not for simulation.
+    """
     poses: Pose
-    """The target's pose in each frame (frame,); of unused frames, the best guess."""
+    """The target's pose in each frame (frame,); for frames that were not used, the best guess."""
     free: tuple[str, ...]
     """Names of the free numbers."""
     change: np.ndarray
-    """Their change from the nominal sonar (free,) [rad, m or 1, see `PARAMETERS`]; 0 where undetermined."""
+    """Their change from the nominal sonar (free,) [rad, m or 1, see `PARAMETERS`]; 0 if undetermined."""
     covariance: np.ndarray
     """Covariance of that change (free, free), given frames and prior."""
     determined: dict[str, bool]
-    """Whether the frames say more about a number than its prior does: half its standard deviation or less."""
+    """For each free number, whether the frames determine it: they halve the standard deviation of its prior or
+    do better.
+    """
     singular_values: np.ndarray
-    """Of the frames' information about the free numbers, in units of their priors (free,), largest first."""
+    """Singular values of the frames' information about the free numbers, in units of their priors (free,),
+    largest first.
+    """
     weakest: dict[str, float]
-    """The combination of free numbers, each in units of its prior, that the frames tell least about."""
+    """The combination of free numbers, each in units of its prior, about which the frames say least."""
     bound: dict[str, float]
-    """Cramér-Rao bound of each free number with its prior (van Trees, Detection, Estimation, and Modulation Theory,
-    1968, sec. 2.4): the standard deviation that no estimator can go below, if the picture is right and residuals are
-    normal, as large and as correlated as they were found to be."""
+    """Cramér-Rao bound of each free number with its prior (van Trees, Detection, Estimation, and Modulation
+    Theory, 1968, sec. 2.4): no estimator can have a smaller standard deviation, provided that the picture is
+    right and the residuals are normal, as large and as correlated as they were found to be.
+    """
     used: np.ndarray
-    """Which frames (frame,) were fitted; in the others the target was not found."""
+    """Which frames (frame,) were fitted; the target was not found in the others."""
     probability: np.ndarray
-    """Of each frame (frame,), that it shows the target."""
+    """Probability that each frame (frame,) shows the target."""
     residual: np.ndarray
-    """RMS of what the fit leaves of each frame (frame,), over what is usual in all; NaN where not used."""
+    """RMS of each frame's residuals (frame,), divided by what is usual in all; NaN if not used."""
     converged: bool
-    """Whether the last step was small."""
+    """True if the last step was small."""
 
     @property
     def std(self) -> dict[str, float]:
@@ -93,21 +99,31 @@ def calibrate(
     engine: Engine = PLAIN,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Calibration:
-    """The `free` numbers of the sonar (see `PARAMETERS`), and the target's poses, from `frames` (frame, range, beam).
+    """Fit numbers of the sonar (see `PARAMETERS`), together with the target's poses, to frames of a known target.
+    Minimises the robust squared difference between the frames and what the sonar would store of the target on a lit
+    floor (see `picture`), jointly over the free numbers, the device's look and each frame's pose, by
+    Levenberg–Marquardt with the poses eliminated (Triggs et al., Bundle Adjustment, 2000). This assumes a flat floor,
+    one sonar at rest, and a target that stands on the floor. Numbers that the frames do not determine keep their
+    nominal values, and are reported as undetermined.
 
-    Minimises the robust squared difference between frames and what the sonar would store of the target on a lit floor
-    (see `picture`), jointly over the free numbers, the device's look and each frame's pose, by Levenberg–Marquardt with
-    the poses eliminated (Triggs et al., Bundle Adjustment, 2000). Assumes a flat floor, one standing sonar, and that
-    the target stands on the floor. Without `poses` (frame,) the target is searched for in each frame, and frames in
-    which it is not found are left out; with `present`, the target is known to be in all of them, and all are fitted.
-    `prior` gives standard deviations [rad, m or 1] of how well the nominal `sonar` is known. What the frames do not
-    determine keeps the nominal value, and is said to be undetermined.
+    Args:
+        frames: Grey frames (frame, range, beam).
+        mesh: The target.
+        sonar: The nominal sonar.
+        free: Names of the numbers to fit.
+        poses: Known poses (frame,) from which to start. By default the target is searched for in each frame, and frames
+            in which it is not found are left out.
+        prior: Standard deviations [rad, m or 1] of how well numbers of the nominal sonar are known, by name.
+        masks: True where pixels were measured (frame, range, beam); None for a frame that is measured everywhere.
+        present: The target is known to be in every frame, so all are fitted.
+        segmenter: The segmenter, or its name.
+        search: How the target is searched for.
+        engine: Runs the compiled functions.
+        progress: Called with a text that says what is being done.
 
-    `masks` (frame, range, beam) are true where pixels were measured, None for a frame that is measured everywhere;
-    `progress` is told what is being done.
-
-    Raises SonarjaxError for no frames, shapes that do not fit the sonar, frames that are all alike, values that are not
-    finite, free numbers that do not exist, or a target that is found in none of the frames.
+    Raises:
+        SonarjaxError: There are no frames, their shapes do not fit the sonar, they are all the same, values are not
+            finite, a free number does not exist, or the target is found in none of them.
     """
     names = check_free(free)
     std = prior_std(names, prior, sonar)
@@ -134,7 +150,7 @@ def calibrate(
 
     at, probability = found_with(changed_sonar(sonar, names, jnp.asarray(begin)))
     first = _result(job, at, probability, _likeliest(probability, share), begin)
-    at, probability = found_with(first.sonar.replace(geometry_std=None))  # now it is nearly right
+    at, probability = found_with(first.sonar.replace(geometry_std=None))  # search again with the nearly right sonar
     used = probability >= LIKELY if made.rule is not None and not present else _likeliest(probability, share)
     if not used.any():
         raise SonarjaxError(f"frames: the target was found in none of the {len(images)} frames")
@@ -142,9 +158,9 @@ def calibrate(
 
 
 def check_frames(frames: Any, masks: Any, sonar: Sonar) -> tuple[list[np.ndarray], list[np.ndarray | None]]:
-    """Frames and masks (range, beam) as lists, 0 where nothing was measured; a mask is None where all of it was.
-
-    Raises SonarjaxError as `calibrate` does.
+    """Frames and masks (range, beam) as lists. Frames are 0 where not measured; a mask is None if everything was.
+    Raises:
+        SonarjaxError: As `calibrate`.
     """
     images = [np.asarray(image, np.float32) for image in frames]
     if not images:
@@ -168,7 +184,7 @@ def check_frames(frames: Any, masks: Any, sonar: Sonar) -> tuple[list[np.ndarray
 
 
 def _first_guess(job: Job, search: SearchConfig) -> np.ndarray:
-    """Changes (free,) to start from: the height is searched for where it is known badly."""
+    """Changes (free,) from which to start; the height is searched for if it is poorly known."""
     change = np.zeros(len(job.free))
     known = dict(zip(job.free, job.std, strict=True))
     if known.get("height", 0.0) <= HEIGHT_STEP:
@@ -183,7 +199,7 @@ def _first_guess(job: Job, search: SearchConfig) -> np.ndarray:
 
 
 def _likeliest(probability: np.ndarray, share: float) -> np.ndarray:
-    """Which frames (frame,) are fitted with a sonar that may be far off: the likely ones, and at least this `share`."""
+    """Which frames (frame,) to fit while the sonar may be far off: the likely ones, and at least this `share`."""
     least = max(LEAST_FRAMES, math.ceil(share * len(probability)))
     return (probability >= LIKELY) | (np.argsort(np.argsort(-probability)) < least)
 
@@ -191,7 +207,7 @@ def _likeliest(probability: np.ndarray, share: float) -> np.ndarray:
 def _result(
     job: Job, poses: Pose, probability: np.ndarray, used: np.ndarray, begin: np.ndarray, coarse: bool = True
 ) -> Calibration:
-    """The calibration from the `used` frames (frame,), their poses and the free numbers' first changes (free,)."""
+    """Calibrate from the `used` frames (frame,), their poses and the first changes (free,) of the free numbers."""
     which = np.flatnonzero(used)
     starts = [jax.tree.map(lambda v, k=k: np.float32(np.asarray(v)[k]), poses) for k in which]
     frames = [job.frames[k] for k in which]
@@ -235,4 +251,4 @@ def _as_calibration(
 
 
 FIELDS = ("tilt", "roll", "height", "elevation_aperture", "range_min", "range_max")
-"""Fields of the sonar that a calibration may change to one number."""
+"""Fields of the sonar that a calibration may replace by a single number."""

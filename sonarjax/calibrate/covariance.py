@@ -1,4 +1,4 @@
-"""How well the free numbers are known: covariance, and whether the frames determine each of them."""
+"""How well the free numbers are known: their covariance, and whether the frames determine each of them."""
 
 from __future__ import annotations
 
@@ -11,30 +11,35 @@ from sonarjax.calibrate.look import LOOK_STD
 from sonarjax.refine.uncertainty import OBSERVABLE
 
 MODEL_FRAMES = 4
-"""As many frames' disagreement is worth as much as what the residuals' size says of it."""
+"""The covariance that the residuals imply is weighted as much as the disagreement of this many frames."""
 
 
 class Certainty(NamedTuple):
-    """What is known of the free numbers after a fit."""
+    """What is known about the free numbers after a fit."""
 
     covariance: np.ndarray
-    """Covariance (free, free) given frames and priors."""
+    """Covariance (free, free), given frames and priors."""
     determined: dict[str, bool]
-    """Whether the frames determine each of them."""
+    """For each free number, whether the frames determine it."""
     singular_values: np.ndarray
-    """Of the frames' information in units of the priors (free,), largest first."""
+    """Singular values of the frames' information, in units of the priors (free,), largest first."""
     weakest: dict[str, float]
-    """The direction of the least of them, in units of the priors."""
+    """The direction of the smallest singular value, in units of the priors."""
     bound: np.ndarray
-    """Least standard deviation (free,) that an estimator can have: see `Calibration.bound`."""
+    """Least standard deviation (free,) that an estimator can have, see `Calibration.bound`."""
 
 
 def certainty(information: np.ndarray, scores: np.ndarray, std: np.ndarray, free: Sequence[str]) -> Certainty:
-    """From the frames' joint `information` (shared, shared), free numbers first, as `overcounted` has reduced it.
+    """Judge how well a fit determines the free numbers.
+    The variance of the numbers is taken from how much the frames disagree, mixed with what the information says, which
+    counts as MODEL_FRAMES frames: the sandwich of Huber (Proc. Fifth Berkeley Symp. 1, 1967).
 
-    `scores` (frame, shared) are the frames' derivatives of the cost, `std` (free,) the priors' standard deviations.
-    How much the numbers vary is taken from how much the frames disagree, with MODEL_FRAMES frames' worth of what the
-    information says: the sandwich of Huber (Proc. Fifth Berkeley Symp. 1, 1967).
+    Args:
+        information: The frames' joint information (shared, shared), free numbers first, reduced by the factor of
+            `overcounted`.
+        scores: Each frame's derivatives of the cost (frame, shared).
+        std: Standard deviations of the priors (free,).
+        free: Names of the free numbers.
     """
     count, frames = len(free), len(scores)
     of_free, across, of_look = information[:count, :count], information[:count, count:], information[count:, count:]
@@ -58,12 +63,11 @@ def certainty(information: np.ndarray, scores: np.ndarray, std: np.ndarray, free
 
 
 def overcounted(information: np.ndarray, scores: np.ndarray, std: np.ndarray) -> float:
-    """How often the `information` (shared, shared) counts what the frames tell; at least 1.
-
-    The residuals of neighbouring pixels err together, so that each thing is counted by many of them. Frames are
-    independent: the sum of the outer products of their `scores` (frame, shared) would equal the information if the
-    pixels were too (the sandwich of Huber, Proc. Fifth Berkeley Symp. 1, 1967, as a single factor, since frames may be
-    few). `std` (free,) are the priors' standard deviations of the free numbers, which come first.
+    """By what factor the `information` (shared, shared) overstates what the frames say; at least 1.
+    The residuals of neighbouring pixels err together, so many pixels count the same thing. Frames are independent of
+    each other. If pixels were as well, the sum of the outer products of the frames' `scores` (frame, shared) would
+    equal the information (the sandwich of Huber, Proc. Fifth Berkeley Symp. 1, 1967; a single factor here, because
+    frames may be few). `std` (free,) are the standard deviations of the priors of the free numbers, which come first.
     """
     prior = np.diag(1 / np.concatenate([std, LOOK_STD]) ** 2)
     inverse = np.linalg.inv(information + prior)

@@ -1,4 +1,4 @@
-"""Where the target is in each frame, and whether it is there at all, with the sonar as it is known so far."""
+"""Find the target in each frame, and whether it is there at all, with the sonar as it is known so far."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from sonarjax.sonar import Sonar
 
 
 class Prepared(NamedTuple):
-    """A frame and the segmenter's map of it."""
+    """A frame and its semantic map."""
 
     image: np.ndarray
     """The frame (range, beam)."""
     mask: np.ndarray | None
-    """True (range, beam) where it was measured."""
+    """True where the frame was measured (range, beam); None for everywhere."""
     seen: np.ndarray
     """Semantic map (range, beam)."""
 
@@ -43,13 +43,13 @@ class Detection(NamedTuple):
     pose: Pose
     """The refined pose."""
     probability: float
-    """That the target is what is shown, by the segmenter's rule; eq. 5's score where it has none."""
+    """Probability that the target is shown, by the segmenter's rule; the score of eq. 5 if it has no rule."""
 
 
 def detect(
     frames: Sequence[Prepared], mesh: Mesh, sonar: Sonar, segmenter: Segmenter, search: SearchConfig, engine: Engine
 ) -> list[Detection]:
-    """The target in each frame. Raises SonarjaxError as `TargetSearch` does."""
+    """Find the target in each frame. Raises SonarjaxError as `TargetSearch` does."""
     banks = TargetSearch(mesh, sonar, search, engine=engine)
     nearest = float(banks.distances[0])
     window = plan_refinement(mesh, sonar, Pose(x=nearest), MAP_REFINEMENT)
@@ -75,10 +75,12 @@ def _detect(
 def best_height(
     frames: Sequence[Prepared], mesh: Mesh, sonar: Sonar, heights: np.ndarray, search: SearchConfig, engine: Engine
 ) -> float:
-    """The height [m] of `heights` (height,) with which the target's templates match the frames' maps best.
+    """The height [m], of `heights` (height,), with which the target's templates match the frames' semantic maps best.
+    Frames whose best score over all heights is below the median are left out, because they may not show the target.
+    Heights from which the aperture sees no floor in the window are skipped.
 
-    A frame counts by its best score over all heights, so that frames without the target count little. Heights from
-    which the aperture sees no floor in the window are passed over. Raises SonarjaxError if all of them are.
+    Raises:
+        SonarjaxError: All heights were skipped.
     """
     scores = np.full((len(heights), len(frames)), -math.inf)
     for row, height in enumerate(heights):

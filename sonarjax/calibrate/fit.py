@@ -1,4 +1,4 @@
-"""The joint fit to frames at roughly known poses: coarse to fine, tilts tried first, undetermined numbers kept."""
+"""The joint fit to frames at roughly known poses: coarse to fine, several tilts first, undetermined numbers kept."""
 
 from __future__ import annotations
 
@@ -34,17 +34,17 @@ from sonarjax.scene import Mesh, Pose
 from sonarjax.sonar import Sonar
 
 BLURS, ITERATIONS = (8.0, 2.0), (6, 14)
-"""Blurs [range bins] of the comparison, coarse to fine, and iterations at each, at most."""
+"""Blurs of the comparison [range bins], coarse to fine, and the most iterations at each."""
 TILTS = (0.0, -1.2, -0.6, 0.6, 1.2)
-"""Tilts that are tried first, in units of the prior's standard deviation."""
+"""Tilts that are tried first, as multiples of the prior's standard deviation."""
 TILT_FRAMES, TILT_ITERATIONS = 3, 6
-"""With how many frames, and iterations, at most."""
+"""Most frames, and most iterations, with which a tilt is tried."""
 SLACK_M = 0.12
-"""Room beside the object in its window [m]."""
+"""Room around the object in its window [m]."""
 
 
 class Job(NamedTuple):
-    """What does not change during a calibration."""
+    """What stays the same during a calibration."""
 
     frames: list[Prepared]
     """All frames."""
@@ -57,17 +57,17 @@ class Job(NamedTuple):
     std: np.ndarray
     """Standard deviations (free,) of their priors."""
     engine: Engine
-    """What runs compiled code."""
+    """Runs the compiled functions."""
     progress: Callable[[str], None]
-    """Told what is being done."""
+    """Called with a text that says what is being done."""
 
 
 def fit_frames(
     job: Job, frames: Sequence[Prepared], starts: Sequence[Pose], begin: np.ndarray, coarse: bool
 ) -> tuple[Fit, Certainty]:
-    """The joint fit to `frames` from their poses and the free numbers' changes `begin` (free,), and what is known.
-
-    `coarse` when these may be far off. A number that the frames do not determine ends with no change.
+    """Fit `frames` jointly, from their poses and the changes `begin` (free,) of the free numbers; say how well they are
+    known.
+    `coarse` if these may be far off. A number that the frames do not determine is left unchanged.
     """
     size = _window(job, starts, begin)
     observations = [_observation(job, frame, at, size, begin) for frame, at in zip(frames, starts, strict=True)]
@@ -82,7 +82,7 @@ def fit_frames(
 
 
 def _window(job: Job, starts: Sequence[Pose], change: np.ndarray) -> WindowSize:
-    """One window for all frames: all ranges, and the beams that the target may touch."""
+    """One window size for all frames: all ranges, and the beams that the target may touch."""
     sonar = changed_sonar(job.sonar, job.free, jnp.asarray(change))
     nearest = min(float(np.hypot(start.x, start.y)) for start in starts)
     planned = plan_window(job.mesh, sonar, nearest, SLACK_M)
@@ -100,7 +100,7 @@ def _observation(job: Job, frame: Prepared, start: Pose, size: WindowSize, chang
 def _fitted(
     job: Job, observations: Sequence[Observation], size: WindowSize, point: Point, fixed: tuple[str, ...], coarse: bool
 ) -> Fit:
-    """The joint fit from `point`, coarse to fine or fine at once; `fixed` numbers stay as they are."""
+    """The joint fit from `point`, coarse to fine, or only fine; `fixed` numbers stay as they are."""
     prior = make_prior(job.free, job.std, fixed)
     reference = np.float32((float(job.sonar.range_min) + float(job.sonar.range_max)) / 2)
     for blur, iterations in list(zip(BLURS, ITERATIONS, strict=True))[0 if coarse else 1 :]:
@@ -132,9 +132,8 @@ def _fitted(
 
 
 def _best_tilt(job: Job, evaluate: Callable[[Point, int], list[Blocks]], point: Point, prior: Prior) -> Point:
-    """The point with the tilt, of a few across its prior, from which a few frames are explained best.
-
-    The lit floor's edge may be far from where the nominal tilt has it: from there a search may not find it.
+    """The point with the best of several tilts across its prior: the one whose fit explains a few frames best.
+    The edge of the lit floor may be far from where the nominal tilt puts it, too far for the fit to find it.
     """
     if "tilt" not in job.free or prior.fixed[job.free.index("tilt")]:
         return point
@@ -149,7 +148,7 @@ def _best_tilt(job: Job, evaluate: Callable[[Point, int], list[Blocks]], point: 
 
 
 def _row_spread(observations: Sequence[Observation], sampling: Any) -> np.ndarray:
-    """A first guess of the residuals' standard deviation (row,): how much neighbouring beams differ."""
+    """First guess of the standard deviation of residuals (row,): how much neighbouring beams differ."""
     return _smooth(np.median([_beam_difference(seen, sampling) for seen in observations], axis=0))
 
 
@@ -163,10 +162,9 @@ def _beam_difference(seen: Observation, sampling: Any) -> np.ndarray:
 
 
 def _smooth(spread: np.ndarray) -> np.ndarray:
-    """Standard deviations (row,) averaged over neighbouring rows, none below what is usual.
-
-    Where a frame is dark it is quiet too; the picture is not that exact there, far down the skirt of the pattern. Rows
-    in which nothing was measured hold 0 and do not count.
+    """Average standard deviations (row,) over neighbouring rows, and raise those below the median to it.
+    Where a frame is dark it also varies little, but far down the skirt of the pattern the picture is not that accurate.
+    Rows in which nothing was measured hold 0 and do not count.
     """
     width = 9
     padded = np.pad(spread.astype(np.float64), width // 2, mode="edge")

@@ -1,4 +1,6 @@
-"""How a device shows energy: the numbers that calibration fits beside the sonar's geometry, and their priors."""
+"""The look of a device, which is how it shows energy: numbers that are fitted together with the geometry, and
+their priors.
+"""
 
 from __future__ import annotations
 
@@ -9,36 +11,36 @@ from sonarjax.sensor import SensorModel
 
 
 class Look(NamedTuple):
-    """How the device shows energy, shared by all frames; each is a number."""
+    """How the device shows energy, shared by all frames. Each field is a number."""
 
     gain: Any
-    """Logarithm of the object's backscatter relative to the floor's [1]."""
+    """Logarithm of the ratio of the object's backscatter to the floor's [1]."""
     noise: Any
-    """Logarithm of the noise relative to the floor's energy [1], at the reference range."""
+    """Logarithm of the ratio of the noise to the floor's energy [1], at the reference range."""
     exponent: Any
     """Logarithm of the power of energy that is stored [1]."""
     skirt: Any
     """How steeply the vertical pattern falls outside the aperture [dB per degree]."""
     slope: Any
-    """Power of range by which the floor brightens [1]."""
+    """Power of range by which the floor becomes brighter [1]."""
     noise_slope: Any
-    """Power of range by which the noise does [1]: the time-varied gain's."""
+    """Power of range by which the noise becomes brighter [1], which is that of the time-varied gain."""
     pulse: Any
     """Length of the pulse [range bins], 1 to 9."""
     widening: Any
-    """−3 dB width of a beam, in units of the sonar's own [1]."""
+    """−3 dB width of a beam, as a multiple of the sonar's own [1]."""
     dark: Any
-    """Logarithm of the energy relative to the floor's below which all is black [1]."""
+    """Logarithm of the energy, relative to the floor's, below which everything is black [1]."""
     white: Any
-    """Logarithm of the energy relative to the floor's above which all is white [1]."""
+    """Logarithm of the energy, relative to the floor's, above which everything is white [1]."""
     rim: Any
-    """Share of the simulator's mixing of object and floor at the object's rim [1], see `picture`."""
+    """Share of the simulator's way of mixing object and floor at the object's rim [1], see `picture`."""
     leak: Any
-    """Logarithm of the energy that a beam hears of all others, relative to its own [1]."""
+    """Logarithm of the energy that a beam hears of all other beams, relative to its own [1]."""
     streak: Any
-    """Logarithm of the share of a glint's energy that lights its whole range row [1]."""
+    """Logarithm of the share of a glint's energy that is added to its entire range row [1]."""
     floor_path: Any
-    """1 where an echo bounces on the floor on both ways, 0.5 on one of them [1]."""
+    """1 if an echo bounces on the floor both ways, 0.5 if on one way only [1]."""
 
 
 class _Prior(NamedTuple):
@@ -66,10 +68,10 @@ _PRIORS = Look(
     floor_path=_Prior(0.75, 0.2, 0.15),
 )
 LOOK = Look(*(prior.start for prior in _PRIORS))
-"""Where a look starts: the nominal device's."""
+"""Initial look: that of the nominal device."""
 LOOK_STD = Look(*(prior.std for prior in _PRIORS))
-"""Standard deviations of its prior: the range of the devices that the package draws."""
+"""Standard deviations of its prior: the spread of the devices that the package draws."""
 LOOK_TRUST = Look(*(prior.trust for prior in _PRIORS))
 """Largest change in one iteration."""
 LEAST_EXPONENT = 0.02
-"""Least power of energy [1]: as good as a logarithm."""
+"""Least power of energy [1], which is practically a logarithm."""

@@ -1,4 +1,4 @@
-"""The numbers of a sonar that can be free in a calibration: what each means, its unit, its usual prior."""
+"""The numbers of a sonar that a calibration can fit: what each means, its unit, its usual prior."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from sonarjax.sonar import Sonar
 
 
 class Parameter(NamedTuple):
-    """One free number, as its difference from the nominal sonar's."""
+    """One free number, given as its difference from the nominal sonar's."""
 
     std: float
     """Standard deviation of the usual prior [unit]."""
     trust: float
     """Largest step of one iteration [unit]."""
     unit: str
-    """rad, m, or 1 for a share."""
+    """rad, m, or 1 for a ratio."""
 
 
 PARAMETERS: dict[str, Parameter] = {
@@ -38,26 +38,32 @@ PARAMETERS: dict[str, Parameter] = {
     "beam_bend": Parameter(0.05, 0.02, "1"),
     "beam_skew": Parameter(0.05, 0.02, "1"),
 }
-"""What may be free: `range_scale` stretches all ranges, as a wrong sound speed does, `azimuth_scale` all beam angles;
-`beam_bend` b moves a beam at the share u of the half field of view by b·(u − u³) of it, `beam_skew` b by b·(u² − 1/3):
-the smooth unevenness of a lens, and that of one that is not centred."""
+"""The sonar's numbers that may be free. `range_scale` stretches all ranges, as a wrong sound speed does, and
+`azimuth_scale` all beam angles. `beam_bend` b moves a beam at the share u of the half field of view by b·(u −
+u³) of it: the smooth unevenness of a lens. `beam_skew` b moves it by b·(u² − 1/3): that of a lens that is not
+centred.
+"""
 
 SIZES: dict[str, Parameter] = {
     name: Parameter(0.25, 0.08, "1") for name in ("object_length", "object_width", "object_height")
 }
-"""What may be free of the object instead, see `sonarjax.shape.fit_size`: its extents along x, y and z of its mesh, as
-the logarithm of their ratio to the mesh's own. The height grows from z = 0, where the object stands."""
+"""The object's numbers that may be free instead, see `sonarjax.shape.fit_size`: its extents along x, y and z of
+its mesh, as the logarithm of their ratio to those of the mesh. The height grows from z = 0, where the object
+stands.
+"""
 
 
 def check_free(free: Sequence[str]) -> tuple[str, ...]:
-    """The names, in the order of `PARAMETERS`. Raises SonarjaxError for none, an unknown name, or one given twice."""
+    """The names in the order of `PARAMETERS`. Raises SonarjaxError if there are none, or for an unknown or
+    repeated name.
+    """
     return in_order(free, PARAMETERS)
 
 
 def prior_std(free: Sequence[str], prior: Mapping[str, float] | None, sonar: Sonar) -> Float[np.ndarray, "free"]:
-    """Prior standard deviations (free,): from `prior`, else the sonar's `geometry_std`, else the usual ones.
-
-    Raises SonarjaxError for a name that is not free, or a value that is not positive.
+    """Standard deviations of the priors (free,): from `prior`, else the sonar's `geometry_std`, else the usual ones.
+    Raises:
+        SonarjaxError: A name is not free, or a value is not positive.
     """
     given = dict(prior or {})
     for name, value in given.items():
@@ -71,7 +77,7 @@ def prior_std(free: Sequence[str], prior: Mapping[str, float] | None, sonar: Son
 
 
 def changed_sonar(sonar: Sonar, free: Sequence[str], change: Float[Array, "free"]) -> Sonar:
-    """The sonar with each of the `free` numbers changed by `change` (free,); differentiable."""
+    """The sonar with the `free` numbers changed by `change` (free,); differentiable."""
     by = {name: change[k] for k, name in enumerate(free)}
     fields: dict[str, Any] = {
         name: jnp.asarray(getattr(sonar, name), jnp.float32) + by[name]
@@ -92,7 +98,7 @@ def changed_sonar(sonar: Sonar, free: Sequence[str], change: Float[Array, "free"
 
 
 def changed_mesh(mesh: Mesh, free: Sequence[str], change: Float[Array, "free"]) -> Mesh:
-    """The mesh with each of the `SIZES` among `free` changed by `change` (free,); differentiable."""
+    """The mesh with those of the `SIZES` that are `free` changed by `change` (free,); differentiable."""
     if not any(name in SIZES for name in free):
         return mesh
     by = {name: change[k] for k, name in enumerate(free)}

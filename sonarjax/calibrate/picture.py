@@ -1,8 +1,7 @@
-"""The frame that a sonar would store of an object on a lit floor: what calibration fits to frames.
-
-Unlike a template, it has the floor's own brightness: the vertical pattern, whose edges say how the sonar is tilted, the
-slope of the gain and the noise. What a device stores is a power of energy between black and white, up to an offset and
-a factor that each frame is free in; a small power stands for a logarithm.
+"""The picture that a sonar would store of an object on a lit floor. Calibration fits it to frames.
+Unlike a template it includes the brightness of the floor: the vertical pattern, whose edges show how the sonar is
+tilted, the slope of the gain, and the noise. A device stores a power of energy between black and white. An offset and a
+factor are free in each frame. A small power stands for a logarithm.
 """
 
 from __future__ import annotations
@@ -26,11 +25,11 @@ from sonarjax.sensor.propagation import elevation_gain, pulse_blur, range_middle
 from sonarjax.sonar import Sonar
 
 LEAK_BEAMS = 10.0
-"""Beams over which what leaks into other beams falls to 1/e."""
+"""Number of beams over which the leak into other beams falls to 1/e."""
 OWN_BEAMS = 2
-"""Beams this near are a beam's own: what they hear is the pattern's business."""
+"""Beams within this distance do not count as leaking: the beam pattern describes what they hear."""
 CORNER = 1.5
-"""How sharply black and white set in [1]: the speckle of one look rounds the corner about as much."""
+"""Sharpness of the corners at black and white [1]; the speckle of one look rounds them about as much."""
 BEAM_WAYS = float(SensorModel().beam_ways)
 
 
@@ -38,10 +37,9 @@ def object_layers(
     mesh: Mesh, sonar: Sonar, start: Pose, step: Float[Array, "pose"], floor_path: Any, column: Int[Array, ""],
     size: WindowSize,
 ) -> Float[Array, "view layer range beam"]:  # fmt: skip
-    """Echo, highlight and shadow of the object and of its mirror image in the floor, as `render_layers`.
-
-    The window has all ranges and the beams from `column` on; `step` is yaw [rad], x, y [m] from `start`,
-    `floor_path` [1] that of `sensor.SensorModel`.
+    """Echo, highlight and shadow of the object and of its mirror image in the floor, as `render_layers` gives them.
+    The window has all ranges, and the beams from `column` on. `step` is yaw [rad], x and y [m] relative to `start`.
+    `floor_path` [1] is that of `sensor.SensorModel`.
     """
     window = Window(0, column, size.shape, size.object_columns)
     quality = RenderQuality(sub_beams=1)
@@ -57,9 +55,8 @@ def picture(
     column: Int[Array, ""],
     reference: Any,
 ) -> Float[Array, "range beam"]:
-    """What is stored (range, beam), up to an offset and a factor: `layers` of the object over the lit floor.
-
-    `bounce` is the energy that a bounce on the floor leaves [1], `reference` [m] the range at which the slopes are 1.
+    """The picture that is stored (range, beam), up to an offset and a factor: the object's `layers` over the lit floor.
+    `bounce` is the share of energy left after a bounce on the floor [1]. At the range `reference` [m] the slopes are 1.
     """
     energy = _received(sonar, look, layers, bounce, column, reference)
     shown = clipped(energy, jnp.exp(look.dark), jnp.exp(look.white))
@@ -71,7 +68,7 @@ def _received(
     sonar: Sonar, look: Look, layers: Float[Array, "view layer range column"], bounce: Float[Array, ""],
     column: Int[Array, ""], reference: Any,
 ) -> Float[Array, "range beam"]:  # fmt: skip
-    """Energy relative to the floor's: object, shadow and bounce through pulse, glints, beams and noise."""
+    """Energy relative to the floor's: object, shadow and bounce, after pulse, glints, beams and noise."""
     ranges = range_middles(sonar)
     far = (ranges / reference)[:, None]
     empty = jnp.zeros((len(ranges), sonar.n_beams))
@@ -84,9 +81,9 @@ def _received(
     bare = floor_angle(ranges, sonar)[:, None]
     lit = elevation_gain(floor_elevation(sonar, ranges), sonar.elevation_aperture, look.skirt)
     gain = jnp.exp(look.gain)
-    # By physics object and floor add up, each with its own backscatter. The simulator's `received_energy` gives both
-    # one backscatter by the object's share of the pixel, and the floor's vertical pattern. Which of them it is decides
-    # on a tenth of a pixel at the rim, so it is left to the frames.
+    # Physically the energies of object and floor add up, each with its own backscatter. The simulator's
+    # `received_energy` instead gives both one mixed backscatter, by the object's share of the pixel, and the floor's
+    # vertical pattern. The difference amounts to a tenth of a pixel at the rim, so `rim` is fitted to the frames.
     apart = gain * echo / bare + (1 - shadow) * lit
     mixed = (echo / bare + 1 - shadow) * lit * (share * gain + 1 - share)
     energy = apart + look.rim * (mixed - apart) + gain * bounce * bounced / bare
@@ -98,9 +95,8 @@ def _received(
 
 
 def leaking(n_beams: int, level: Any) -> Float[Array, "beam source"]:
-    """What each beam hears of the others, `level` in all; rows sum to one.
-
-    A smooth version of `crosstalk_mixing`: which beams fire together need not be known.
+    """Matrix (beam, source) of the leaks between beams, `level` in total; rows sum to one.
+    This is a smooth version of `crosstalk_mixing`, for which it need not be known which beams fire together.
     """
     apart = np.abs(np.arange(n_beams)[:, None] - np.arange(n_beams))
     weight = np.where(apart > OWN_BEAMS, np.exp(-apart / LEAK_BEAMS), 0.0)
@@ -109,15 +105,15 @@ def leaking(n_beams: int, level: Any) -> Float[Array, "beam source"]:
 
 
 def clipped(energy: Float[Array, "*batch"], dark: Any, white: Any) -> Float[Array, "*batch"]:
-    """`energy` (...) kept between `dark` and `white`, with corners that are round, see `CORNER`."""
+    """`energy` (...) limited to between `dark` and `white`, with rounded corners, see `CORNER`."""
     raised = (energy**CORNER + dark**CORNER) ** (1 / CORNER)
     return (raised**-CORNER + white**-CORNER) ** (-1 / CORNER)
 
 
 def floor_elevation(sonar: Sonar, ranges: Float[Array, "range"]) -> Float[Array, "range beam"]:
-    """Elevation [rad] in the sonar frame of the floor that each pixel (range, beam) shows, with roll.
-
-    From r·(n₃ sin φ + (n₁ cos θ + n₂ sin θ) cos φ) = −height, n the ground's upward direction in the sonar frame.
+    """Elevation [rad] in the sonar frame of the floor that each pixel (range, beam) shows, roll included.
+    From r·(n₃ sin φ + (n₁ cos θ + n₂ sin θ) cos φ) = −height, where n is the ground's upward direction in the sonar
+    frame.
     """
     up = (rotation_y(sonar.tilt) @ rotation_x(sonar.roll))[2]
     azimuth = jnp.asarray(sonar.azimuth)
@@ -128,34 +124,33 @@ def floor_elevation(sonar: Sonar, ranges: Float[Array, "range"]) -> Float[Array,
 
 
 class Sampling(NamedTuple):
-    """How a picture is compared with a frame: blurred, then every few pixels."""
+    """How picture and frame are compared: blurred, then at every few pixels."""
 
     along: Float[Array | np.ndarray, "row range"]
-    """Blur in range; its rows sum to 1."""
+    """Blur along range; rows sum to 1."""
     across: Float[Array | np.ndarray, "column beam"]
-    """Blur in azimuth."""
+    """Blur along azimuth; rows sum to 1."""
 
     def __call__(self, image: Float[Array | np.ndarray, "range beam"]) -> Any:
-        """The blurred image (row, column), at every few pixels."""
+        """The blurred image (row, column) at every few pixels of `image` (range, beam)."""
         return self.along @ image @ self.across.T
 
 
 def measured_mean(
     sampling: Sampling, image: Float[Array | np.ndarray, "range beam"], mask: Float[Array | np.ndarray, "range beam"]
 ) -> Any:
-    """The blurred image (row, column), averaged over the measured pixels alone; 0 where there are none nearby.
-
-    `mask` (range, beam) is 1 where a pixel was measured, else 0.
+    """The blurred image (row, column), averaged over measured pixels only; 0 where there are none nearby.
+    `mask` (range, beam) is 1 where a pixel of `image` (range, beam) was measured, else 0.
     """
     return sampling(image * mask) / jnp.maximum(sampling(mask), 1e-6)
 
 
 ROWS, COLUMNS = 4, 2
-"""Range bins and beams from one compared pixel to the next."""
+"""Distance between compared pixels, in range bins and in beams."""
 
 
 def make_sampling(shape: tuple[int, int], blur: float) -> Sampling:
-    """The sampling of frames of `shape` (range, beam) with a Gaussian of `blur` [range bins]."""
+    """The sampling of frames of `shape` (range, beam) with a Gaussian blur of `blur` [range bins]."""
 
     def kernel(size: int, every: int, sigma: float) -> np.ndarray:
         at = np.arange(every // 2, size, every)
@@ -166,17 +161,16 @@ def make_sampling(shape: tuple[int, int], blur: float) -> Sampling:
 
 
 UNEVEN_STD = 0.02
-"""Standard deviation of each slow change of brightness over a frame [of the grey scale], as a prior."""
+"""Standard deviation of the prior of each slow change of brightness over a frame [of the grey scale]."""
 
 
 def fitted(
     drawn: Float[Array, "row column"], seen: Float[Array, "row column"], weight: Float[Array, "row column"]
 ) -> Float[Array, "row column"]:
-    """The picture as it fits a frame best: offset, factor and slow changes of brightness by least squares.
-
-    All are (row, column); `weight` is that of a squared difference. Linear in these few numbers, so they need no steps
-    of their own: the derivative goes through them (variable projection, Golub and Pereyra, SIAM J. Numer. Anal. 10,
-    1973).
+    """Fit the picture to a frame by an offset, a factor and slow changes of brightness, by least squares.
+    All are (row, column); `weight` is that of a squared difference. The result is linear in these few numbers, so they
+    need no iterations of their own, and the derivative passes through them (variable projection, Golub and Pereyra,
+    SIAM J. Numer. Anal. 10, 1973).
     """
     rows, columns = drawn.shape
     down, across = np.linspace(-1, 1, rows)[:, None], np.linspace(-1, 1, columns)[None]

@@ -1,4 +1,4 @@
-"""A calibration for people: its text, and what a picture of it shows."""
+"""A calibration for people to read: its text, and what a picture of it shows."""
 
 from __future__ import annotations
 
@@ -15,15 +15,17 @@ from sonarjax.scene import Mesh, Pose
 from sonarjax.sonar import Sonar
 
 UNITS = {"rad": ("°", math.degrees(1.0)), "m": (" m", 1.0), "1": (" %", 100.0)}
-"""How a unit is shown, and by what its numbers are multiplied."""
+"""How a unit is shown, and the factor on its numbers."""
 SHOWN = 4
-"""Frames in a picture, at most."""
+"""Most frames in a picture."""
 LOOSE = 0.35
-"""Least share of a direction that is named where the frames tell nothing about it [1]."""
+"""Least share of a number in an undetermined direction [1] for which the number is named."""
 
 
 def describe_calibration(found: Calibration, nominal: Sonar, frames: Sequence[str]) -> str:
-    """Several lines: each free number with its standard deviation, what is undetermined, and a line a frame."""
+    """Describe a calibration in several lines: each free number with its standard deviation, undetermined ones,
+    each frame.
+    """
     lines = [_line(found, nominal, k) for k in range(len(found.free))]
     if not all(found.determined.values()):
         named = [f"{share:+.2f} {name}" for name, share in found.weakest.items() if abs(share) >= LOOSE]
@@ -51,8 +53,7 @@ def _line(found: Calibration, nominal: Sonar, k: int) -> str:
 def compare_templates(
     found: Calibration, images: Sequence[Any], mesh: Mesh, nominal: Sonar
 ) -> tuple[list[Any], list[Any], list[Any]]:
-    """Some of the frames that were used, and the target's semantic images with the nominal and the fitted sonar.
-
+    """Some of the frames that were used, and the target's semantic maps for the nominal and for the fitted sonar.
     All are (range, beam).
     """
     which = np.flatnonzero(found.used)[:SHOWN]

@@ -1,7 +1,6 @@
 """Joint least squares over what all frames share and each frame's own pose: Levenberg–Marquardt by block elimination.
-
-A frame's pose touches its own residuals alone, so the poses are eliminated frame by frame (the Schur complement; Triggs
-et al., Bundle Adjustment, 2000, sec. 6): the cost is linear in the number of frames.
+A frame's pose affects only its own residuals, so the poses are eliminated frame by frame (the Schur complement; Triggs
+et al., Bundle Adjustment, 2000, sec. 6). The cost is linear in the number of frames.
 """
 
 from __future__ import annotations
@@ -26,38 +25,38 @@ from sonarjax.scene import Mesh, Pose
 from sonarjax.sonar import Sonar
 
 OWN = POSE + 1
-"""Numbers of a frame's own: yaw [rad], x, y [m] and the energy that a bounce on the floor leaves [1]."""
+"""How many numbers a frame has of its own: yaw [rad], x, y [m] and the energy left after a bounce on the floor [1]."""
 BOUNCE, BOUNCE_STD = 0.2, 0.2
-"""Prior of that energy [1]."""
+"""Mean and standard deviation of the prior of that energy [1]."""
 TRUST_OWN = (0.12, 0.03, 0.03, 0.2)
 """Largest step of a frame's own numbers in one iteration."""
 HUBER = 2.0
-"""Standard deviations beyond which a residual counts linearly."""
+"""Number of standard deviations beyond which a residual counts linearly."""
 SETTLED = 0.02
-"""Shared numbers whose next step is below this share of their trust have settled."""
+"""The fit has settled when the next step of every shared number is below this share of its trust."""
 LEAST_GAIN = 2e-5
 """A step that lowers the cost by a smaller share is the last."""
 LOOKS = len(LOOK)
 MOST_DAMPING = 1e3
-"""Damping at which no step is to be had."""
+"""At this damping the search for a better step is given up."""
 
 
 @record
 class Observation:
-    """A frame as it is compared."""
+    """A frame in the form in which it is compared."""
 
     image: Float[Array | np.ndarray, "range beam"]
-    """The frame, any grey scale; 0 where nothing was measured."""
+    """The frame, on any grey scale; 0 where nothing was measured."""
     mask: Float[Array | np.ndarray, "range beam"]
     """1 where a pixel was measured, else 0."""
     start: Pose
-    """Where its pose starts."""
+    """The pose from which its search starts."""
     column: Any
-    """First beam of the window in which the object is drawn."""
+    """First beam of the window in which the object is rendered."""
 
 
 class Blocks(NamedTuple):
-    """A frame's part of the normal equations, its own numbers first, then the sonar's and the look's."""
+    """A frame's part of the normal equations: its own numbers first, then those of the sonar and of the look."""
 
     hessian: Float[Array, "number number"]
     """Jᵀ·W·J."""
@@ -66,23 +65,23 @@ class Blocks(NamedTuple):
     cost: Float[Array, ""]
     """Half of the robust sum of squares."""
     square: Float[Array, "row"]
-    """Mean square of the residuals of each row [grey²], over what was measured; 0 where nothing was."""
+    """Mean square of the residuals of each row [grey²], over measured pixels; 0 if there are none."""
 
 
 class Point(NamedTuple):
-    """A guess of everything."""
+    """A value for every number."""
 
     shared: np.ndarray
     """Changes of the free numbers, then the look (shared,)."""
     own: np.ndarray
-    """Steps from the starts (frame, 4)."""
+    """Each frame's own numbers (frame, 4), the pose as steps from its start."""
 
 
 class Prior(NamedTuple):
-    """What is known of the shared numbers beforehand."""
+    """What is known about the shared numbers beforehand."""
 
     mean: np.ndarray
-    """(shared,): 0 for the changes of the sonar."""
+    """Means (shared,); 0 for the changes of the sonar."""
     std: np.ndarray
     """Standard deviations (shared,)."""
     trust: np.ndarray
@@ -90,11 +89,11 @@ class Prior(NamedTuple):
     fixed: np.ndarray
     """Which numbers (shared,) stay as they are."""
     overcounted: float = 1.0
-    """How often the residuals count each thing that a frame tells [1]: what they say weighs less by that factor."""
+    """Factor by which the residuals overcount what the frames say [1]; their weight is divided by it."""
 
 
 def make_prior(free: Sequence[str], std: np.ndarray, fixed: Sequence[str] = ()) -> Prior:
-    """The prior of the `free` numbers with standard deviations `std` (free,), and of the look."""
+    """The prior of the `free` numbers, with standard deviations `std` (free,), and of the look."""
     return Prior(
         mean=np.concatenate([np.zeros(len(free)), LOOK]),
         std=np.concatenate([std, LOOK_STD]),
@@ -105,20 +104,20 @@ def make_prior(free: Sequence[str], std: np.ndarray, fixed: Sequence[str] = ()) 
 
 @dataclass(frozen=True)
 class Fit:
-    """Where a joint search ended."""
+    """The result of a joint fit."""
 
     point: Point
-    """The best guess."""
+    """The best values."""
     information: np.ndarray
-    """The data's information about the shared numbers, the poses eliminated (shared, shared)."""
+    """The frames' information about the shared numbers, with the poses eliminated (shared, shared)."""
     scores: np.ndarray
-    """Each frame's derivative of the cost by the shared numbers, its own eliminated (frame, shared)."""
+    """Each frame's derivative of the cost by the shared numbers, with its own numbers eliminated (frame, shared)."""
     spread: np.ndarray
     """Standard deviation of the residuals of each row [grey]."""
     costs: np.ndarray
     """Each frame's cost (frame,)."""
     converged: bool
-    """Whether the last step was small."""
+    """True if the last step was small."""
 
 
 @partial(jax.jit, static_argnames=("free", "size"))
@@ -127,8 +126,7 @@ def linearise(
     reference: Array, *, free: tuple[str, ...], size: WindowSize,
 ) -> tuple[Array, ...]:  # fmt: skip
     """The fields of a frame's `Blocks` at `shared` (free + look,) and `own` (4,).
-
-    `std` (row,) are the residuals' standard deviations [grey], `reference` [m] is that of `picture`.
+    `std` (row,) are the standard deviations of the residuals [grey]; `reference` [m] is that of `picture`.
     """
     count = len(free)
 
@@ -164,13 +162,13 @@ def linearise(
     loss = jnp.where(scaled > HUBER, HUBER * (scaled - HUBER / 2), scaled**2 / 2)
     weighted = jacobian * (robust * weight)
     hessian = jnp.einsum("irb,jrb->ij", weighted, jacobian)
-    # A plain tuple: the CPU's engine keeps compiled code in files, and knows no type of ours.
+    # A plain tuple, because `CpuEngine` stores compiled code in files and does not know the type `Blocks`.
     square = (robust * share * found**2).sum(axis=1) / jnp.maximum(share.sum(axis=1), 1e-6)
     return hessian, jnp.einsum("irb,rb->i", weighted, found), (share * loss).sum(), square
 
 
 class _Assembled(NamedTuple):
-    """All frames' blocks at one point."""
+    """The blocks of all frames at one point."""
 
     own: np.ndarray  # (frame, 4, 4), with the bounce's prior
     across: np.ndarray  # (frame, 4, shared)
@@ -185,7 +183,7 @@ class _Assembled(NamedTuple):
 
 
 def solve_jointly(evaluate: Callable[[Point], Sequence[Blocks]], begin: Point, prior: Prior, *, iterations: int) -> Fit:
-    """Minimise the frames' costs and the priors from `begin`; `evaluate` gives each frame's `Blocks` at a point."""
+    """Minimise the costs of frames and priors from `begin`; `evaluate` gives the `Blocks` of each frame at a point."""
     point, damping, settled = begin, 1e-3, False
     best = _assembled(evaluate(begin), begin, prior)
     for _ in range(iterations):
@@ -226,7 +224,7 @@ def _assembled(parts: Sequence[Blocks], point: Point, prior: Prior) -> _Assemble
 
 
 def _eliminated(at: _Assembled, damping: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """The shared numbers' information (shared, shared) and each frame's gradient (frame, shared), without the poses."""
+    """Information on the shared numbers (shared, shared) and each frame's gradient (frame, shared), without poses."""
     inverse = np.linalg.inv(_damped(at.own, damping))
     information = at.shared - np.einsum("fps,fpq,fqt->st", at.across, inverse, at.across)
     return information, at.shared_gradient - np.einsum("fps,fpq,fq->fs", at.across, inverse, at.own_gradient)
@@ -238,7 +236,7 @@ def _damped(blocks: np.ndarray, damping: float) -> np.ndarray:
 
 
 def _step(at: _Assembled, prior: Prior, damping: float) -> tuple[np.ndarray, np.ndarray]:
-    """The Levenberg–Marquardt step of the shared (shared,) and of each frame's own numbers (frame, 4)."""
+    """The Levenberg–Marquardt step of the shared numbers (shared,) and of each frame's own (frame, 4)."""
     information, gradients = _eliminated(at, damping)
     free = ~prior.fixed
     whole = _damped(information + np.diag(at.tight), damping)[np.ix_(free, free)]
@@ -249,5 +247,5 @@ def _step(at: _Assembled, prior: Prior, damping: float) -> tuple[np.ndarray, np.
 
 
 def _bounded(own: np.ndarray) -> np.ndarray:
-    """The frames' own numbers with a bounce that leaves no negative energy, and no more than there was."""
+    """The frames' own numbers, with the energy of a bounce limited to between 0 and 1."""
     return np.concatenate([own[:, :POSE], np.clip(own[:, POSE:], 0.0, 1.0)], axis=1)

@@ -1,4 +1,4 @@
-"""What an uncertain geometry of the sonar adds to a refined yaw's error bar: `geometry_std` of sonar.toml at work."""
+"""How much an uncertain geometry of the sonar (`geometry_std` of sonar.toml) adds to the error bar of a refined yaw."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from sonarjax.sonar import Sonar
 
 
 def stated_std(sonar: Sonar) -> dict[str, float]:
-    """The standard deviations that `sonar.geometry_std` states [rad, m, 1], by name; those that are 0 are left out."""
+    """The standard deviations in `sonar.geometry_std` [rad, m, 1], by name; those that are 0 are left out."""
     if sonar.geometry_std is None:
         return {}
     return {name: float(std) for name, std in vars(sonar.geometry_std).items() if float(std) > 0}
@@ -28,13 +28,23 @@ def yaw_std_of_geometry(
     image: Any, mesh: Mesh, sonar: Sonar, pose: Pose, stated: dict[str, float], config: RefineConfig, *,
     mask: Any = None, window: WindowSize | None = None, engine: Engine = PLAIN,
 ) -> float:  # fmt: skip
-    """Standard deviation of yaw [rad] that comes from not knowing the sonar's geometry better than `stated`.
+    """Standard deviation of yaw [rad] that the `stated` uncertainty of the sonar's geometry causes.
+    The yaw is refined again from `pose`, with each stated number one standard deviation up and down. Half the
+    difference is the share of that number, and the shares are added in quadrature. This assumes that the errors of the
+    geometry are independent, so small that yaw follows them linearly, and the same in all frames. Refining again is a
+    slower way to the derivative of `refine_yaw`, but a safer one: a rough objective within a tenth of a degree does not
+    disturb it.
 
-    The yaw is refined again from `pose` in the frame `image` (range, beam) with each stated number one standard
-    deviation up and down. Half the difference is its share, and the shares add up in quadrature: the geometry's errors
-    are taken to be independent, small enough for yaw to follow them linearly, and the same in all frames. `config`
-    refines on the frame. Solving again is the slow way to the derivative of `refine_yaw`, and the safer one: it does
-    not mind how rough the objective is over a tenth of a degree.
+    Args:
+        image: The frame (range, beam).
+        mesh: The target.
+        sonar: The sonar.
+        pose: The refined pose [m, rad].
+        stated: Standard deviations by name, from `stated_std`.
+        config: How to refine; it must refine on the frame.
+        mask: True where the frame was measured (range, beam); None for everywhere.
+        window: Size of the window, planned by default.
+        engine: Runs the compiled functions.
     """
 
     def solved(change: tuple[str, float]) -> float:
@@ -49,7 +59,7 @@ def yaw_std_of_geometry(
 
 
 def _alike(moved: Sonar, sonar: Sonar) -> Sonar:
-    """`moved` with leaves of the types that those of `sonar` have, so that both share compiled code."""
+    """`moved` with leaves of the same types as those of `sonar`, so that both share compiled code."""
 
     def like(new: Any, old: Any) -> Any:
         return np.asarray(new, old.dtype) if hasattr(old, "dtype") else float(new)

@@ -1,11 +1,10 @@
 """ARIS recordings (`.aris`, DDF_05): bytes in, frames out.
+The layout was checked on a real file of six frames: a 1024-byte file header, then for each frame a 1024-byte header and
+SamplesPerBeam x BeamCount bytes stored (range, beam), beam 0 the rightmost. The number of frames follows from the size
+of the file, never from the header. Offsets, PingMode and SystemType follow Sound Metrics' published ARIS file SDK.
 
-Layout checked against a real file of six frames: a 1024-byte file header, then per frame a 1024-byte header and
-SamplesPerBeam x BeamCount bytes stored (range, beam), beam 0 the rightmost. Frames are counted from the file's size,
-never from the header. Offsets, PingMode and SystemType follow Sound Metrics' published ARIS file SDK.
-
-Not verified on a file: the signs of SonarTilt (taken as positive up, so `tilt_deg` is its negative) and of SonarRoll,
-the meaning of FrequencyHiLow, and an aperture of 14 deg without the large lens.
+Not checked on a file: the signs of SonarTilt (assumed positive up, so `tilt_deg` is its negative) and of SonarRoll, the
+meaning of FrequencyHiLow, and an aperture of 14 deg without the large lens.
 """
 
 from __future__ import annotations
@@ -27,9 +26,9 @@ SIGNATURE = 0x05464444
 HEADER_BYTES = 1024
 MAX_SAMPLES = 65536
 LONGEST_SEARCH = 2**26
-"""Where the search for another frame header ends when frame 0 is damaged, 64 MiB [bytes]: several frames."""
+"""Where the search for another frame header ends if frame 0 is damaged, 64 MiB [bytes]: several frames."""
 SIGNATURES_TRIED = 64
-"""How many places that look like a frame header are tried where frame 0 is damaged."""
+"""How many candidates for a frame header are tried if frame 0 is damaged."""
 FRAME_FIELDS: Fields = {
     "FrameIndex": (0, "I"),
     "FrameTime": (4, "Q"),
@@ -50,7 +49,7 @@ FRAME_FIELDS: Fields = {
     "SystemType": (484, "I"),
     "ReorderedSamples": (516, "I"),
 }
-"""What is read of a frame header; times in microseconds, lengths in metres, angles in degrees."""
+"""Fields that are read of a frame header; times in microseconds, lengths in metres, angles in degrees."""
 SYSTEMS = {ARIS_1800: "ARIS 1800", ARIS_3000: "ARIS 3000", ARIS_1200: "ARIS 1200"}
 FREQUENCIES_HZ = {ARIS_1800: (1.1e6, 1.8e6), ARIS_3000: (1.8e6, 3.0e6), ARIS_1200: (0.7e6, 1.2e6)}
 """SystemType -> frequency at FrequencyHiLow 0 and 1 [Hz]."""
@@ -58,7 +57,7 @@ FREQUENCIES_HZ = {ARIS_1800: (1.1e6, 1.8e6), ARIS_3000: (1.8e6, 3.0e6), ARIS_120
 
 @dataclass(frozen=True)
 class ArisLayout:
-    """Size of every frame of a file, and how many are complete."""
+    """Size of every frame of a file, and how many frames are complete."""
 
     n_ranges: int
     """Range bins of a frame."""
@@ -76,16 +75,16 @@ class ArisLayout:
 
 
 def beam_count(ping_mode: int) -> int:
-    """Number of beams of a PingMode, 0 for an unknown one."""
+    """Number of beams of a PingMode; 0 if it is unknown."""
     table = ((1, 2, 48), (3, 5, 96), (6, 8, 64), (9, 12, 128))
     return next((beams for low, high, beams in table if low <= ping_mode <= high), 0)
 
 
 def aris_layout(data: Content, name: str) -> ArisLayout:
-    """Read the sizes from the first frame's header, or from a later one where the first is damaged.
-
-    Raises SonarjaxError when the signature is wrong, no frame is complete, or no frame's PingMode and SamplesPerBeam
-    are right.
+    """Read the sizes from the first frame's header, or from a later one if the first is damaged.
+    Raises:
+        SonarjaxError: The signature is wrong, no frame is complete, or no frame has a valid PingMode and
+            SamplesPerBeam.
     """
     file = Header(data, name)
     _check_signature(file, file.unpack("I", 0, "signature")[0])
@@ -106,7 +105,7 @@ def aris_layout(data: Content, name: str) -> ArisLayout:
 
 
 def _later_size(data: Content, name: str) -> tuple[int, int] | None:
-    """Range bins and beams from the first frame header after frame 0 that fits where it stands; None if none does."""
+    """Range bins and beams from the first later header whose sizes explain its position; None if there is none."""
     position = HEADER_BYTES + 12
     for _ in range(SIGNATURES_TRIED):
         position = data.find(struct.pack("<I", SIGNATURE), position + 1, LONGEST_SEARCH)
@@ -124,15 +123,20 @@ def _later_size(data: Content, name: str) -> tuple[int, int] | None:
 
 def parse_aris(data: Content, name: str, index: int | None = None) -> Iterator[Frame]:
     """Yield the frames of an ARIS file, or only frame `index`; `image` = stored byte / 255 (0 … 255 is 0 … 80 dB).
+    Args:
+        data: Content of the file.
+        name: Its path, for messages.
+        index: Number of a frame, from 0; None for all.
 
-    `data` is the file's content and `name` its path, for messages. Raises SonarjaxError for anything that cannot be
-    used: signature, sizes, sound speed, sample period, a frame of another size, an index out of range.
+    Raises:
+        SonarjaxError: Something cannot be used: signature, sizes, sound speed, sample period, a frame of another size,
+            or an index out of range.
     """
     return frames_of(aris_records(data, name, index))
 
 
 def aris_records(data: Content, name: str, index: int | None = None) -> Iterator[Record]:
-    """As `parse_aris`, but a frame that cannot be read is yielded as its error and costs no other."""
+    """As `parse_aris`, but a frame that cannot be read is yielded as its error; the others are not affected."""
     layout = aris_layout(data, name)
     yield from each_record(name, layout.n_frames, index, lambda number: _read(data, name, layout, number))
 
@@ -162,7 +166,7 @@ def _size(header: Header, fields: dict[str, Any]) -> tuple[int, int]:
 
 def _geometry(header: Header, fields: dict[str, Any], layout: ArisLayout) -> Geometry | None:
     sound_speed = header.quantity(fields["SoundSpeed"], "SoundSpeed", 1000.0, 2000.0, "m/s")
-    metres = 1e-6 * sound_speed / 2  # a microsecond of two-way travel
+    metres = 1e-6 * sound_speed / 2  # range for each microsecond of two-way travel
     start = fields["SampleStartDelay"] * metres
     period = header.count(fields["SamplePeriod"], "SamplePeriod", 10**6)
     stop = header.quantity(start + period * layout.n_ranges * metres, "range window", 0.0, RANGE_LIMIT_M, "m")

@@ -1,7 +1,7 @@
-"""Files out, all or nothing: written aside in the same folder, then renamed, so that no reader sees half a file.
-
-When the disk is full, the folder read-only or the target a folder, the old file stays as it was, nothing is left lying
-about, and the error is a SonarjaxError of one line.
+"""Write files, all or nothing: to a temporary file in the same folder, then renamed, so that no reader sees half a
+file.
+If the disk is full, the folder read-only or the target a folder, the old file stays as it was, nothing is left behind,
+and the error is a SonarjaxError of one line.
 """
 
 from __future__ import annotations
@@ -29,15 +29,17 @@ Writer = Callable[[IO[bytes]], object]
 
 def write_atomic(path: PathLike, writer: Writer) -> None:
     """Let `writer(file)` write a binary file, then move it to `path` in one step.
+    A device such as /dev/null is written to directly. Other exceptions of `writer` pass through, and leave nothing
+    behind either.
 
-    Raises SonarjaxError when it cannot be written; what stood at `path` is then unchanged. What else `writer` raises
-    passes through, and leaves nothing behind either. A device such as /dev/null is written to directly.
+    Raises:
+        SonarjaxError: The file cannot be written. What was at `path` is then unchanged.
     """
     name = os.fspath(path)
     if "\0" in name:
         raise SonarjaxError(f"{name!r}: expected a file name without NUL")
     try:
-        target = Path(os.path.realpath(name))  # a link keeps pointing to the file that it names
+        target = Path(os.path.realpath(name))  # write the file that a link points to, and keep the link
         if target.is_dir():
             raise SonarjaxError(f"{name}: expected a file to write, this is a folder")
         if target.exists() and not stat.S_ISREG(target.stat().st_mode):
@@ -52,7 +54,7 @@ def write_atomic(path: PathLike, writer: Writer) -> None:
 def _write_aside(target: Path, writer: Writer) -> None:
     aside = target.with_name(f".sonarjax-{secrets.token_hex(6)}.tmp")
     try:
-        # Not tempfile: its files are private to the user, ours shall follow the umask or the file that they replace.
+        # Not `tempfile`, whose files are private to the user: ours follow the umask, or the file that they replace.
         with open(os.open(aside, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666), "wb") as file:
             writer(file)
             file.flush()
@@ -67,14 +69,14 @@ def _write_aside(target: Path, writer: Writer) -> None:
 
 
 def write_text(path: PathLike, text: str) -> None:
-    """Write `text` as UTF-8. Raises SonarjaxError when it cannot be written."""
+    """Write `text` as UTF-8, all or nothing. Raises SonarjaxError if it cannot be written."""
     write_atomic(path, lambda file: file.write(text.encode("utf-8")))
 
 
 def write_npz(path: PathLike, /, **arrays: np.ndarray) -> None:
-    """Write arrays (any shape) as a compressed NPZ under their names; the same arrays give the same bytes.
-
-    Raises SonarjaxError when it cannot be written or an array would need pickle.
+    """Write named arrays (any shape) as a compressed NPZ, all or nothing. The same arrays give the same bytes.
+    Raises:
+        SonarjaxError: The file cannot be written, or an array would need pickle.
     """
     plain = {key: np.asanyarray(value) for key, value in arrays.items()}
     for key, value in plain.items():
@@ -101,14 +103,14 @@ def write_png(
     | Float[np.ndarray, "row column 3"],
 ) -> None:
     """Write a grey (row, column) or colour (row, column, 3) picture: uint8 as it is, floats in [0, 1] times 255.
-
-    Raises SonarjaxError for another type, shape or range, and when it cannot be written.
+    Raises:
+        SonarjaxError: The type, shape or range is another, or the file cannot be written.
     """
     name, values = os.fspath(path), np.asarray(image)
     if values.size == 0 or not (values.ndim == 2 or (values.ndim == 3 and values.shape[2] == 3)):
         raise SonarjaxError(f"{name}: picture: expected (row, column) or (row, column, 3), got {values.shape}")
     if values.dtype.kind == "f":
-        # A millionth outside is rounding of float32 arithmetic; NaN fails both comparisons.
+        # Up to a millionth outside may come from float32 rounding. NaN fails both comparisons.
         if not (values.min() >= -1e-6 and values.max() <= 1.0 + 1e-6):
             raise SonarjaxError(f"{name}: picture: expected finite floats in [0, 1]")
         values = np.rint(np.clip(values, 0.0, 1.0) * 255.0).astype(np.uint8)

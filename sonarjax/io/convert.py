@@ -1,4 +1,4 @@
-"""`sonarjax convert`: a fan picture as a polar frame in an NPZ, a polar frame as a fan picture, frames as a ROS bag."""
+"""`sonarjax convert`: a fan picture to a polar frame in an NPZ, a polar frame to a fan picture, frames to a ROS bag."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from sonarjax.io.load import iter_frames, split_spec
 from sonarjax.io.ros import write_bag
 
 DARKEST = 1 / 255
-"""Least value of a measured pixel in a fan picture: black is what was not measured, and tells where the sector ends."""
+"""Least value of a measured pixel in a fan picture. Black means not measured, and shows where the sector ends."""
 
 
 @dataclass(frozen=True)
 class FanOptions:
-    """What the command line says of a fan picture; None where it says nothing."""
+    """What the command line says about a fan picture; None for what it does not say."""
 
     opening_deg: float | None = None
     """Full angle of the fan, to the outer edges of the outer beams [deg]."""
@@ -35,13 +35,15 @@ class FanOptions:
     bins: int | None = None
     """Range bins of the polar frame (default: the rows of the fan along its middle)."""
     apex: float | None = None
-    """Row of the fan picture at which the sonar is (default: found from where the outer beams begin) [pixels]."""
+    """Row of the fan picture at which the sonar is [pixels] (default: found from where the outer beams begin)."""
     whole: bool = False
     """The picture reaches down to the sonar, which is in the middle of its lower edge."""
     frame: bool = False
-    """The picture's frame just holds the fan, rather than the bounding box of its pixels above 0."""
+    """The fan just fits the picture's frame, rather than the bounding box of its pixels above 0."""
     width: int | None = None
-    """Columns of the fan picture that is made; by default a pixel is as long [m] as a bin or as a beam at mid range."""
+    """Columns of the fan picture to make; by default a pixel is as long [m] as a bin, or a beam at mid range if
+    shorter.
+    """
 
 
 FAN_OPTIONS = {
@@ -52,19 +54,19 @@ FAN_OPTIONS = {
     "--beams": ("N", "to polar: beams (default: columns along the fan's arc at mid range)"),
     "--apex": ("ROW", "to polar: row of the picture at which the sonar is (default: from the fan's lower edge)"),
     "--whole": (None, "to polar: the sonar is at the picture's lower edge"),
-    "--frame": (None, "to polar: the fan just fits into the picture (default: the box of its pixels above 0)"),
-    "--width": ("N", "to fan: columns of the picture (default: pixels as small as a bin and as a beam at mid range)"),
+    "--frame": (None, "to polar: the fan just fits the picture (default: the bounding box of its pixels above 0)"),
+    "--width": ("N", "to fan: columns of the picture (default: pixels as small as the lesser of a bin and a beam)"),
 }
-"""Option of the command line for each field of FanOptions -> what it takes (None: a switch), and its help."""
+"""Command-line option for each field of FanOptions -> its argument (None for a switch) and its help text."""
 SECTOR = ("opening_deg", "range_min", "range_max")
 TO_POLAR = ("beams", "bins", "apex", "whole", "frame")
 TO_FAN = ("width",)
 
 
 def one_frame(spec: str) -> Frame:
-    """The one frame (range, beam) of a file, or of `path:N`; a fan picture comes as its (row, column).
-
-    Raises SonarjaxError as `read_frames` does, and when the file holds several.
+    """The only frame (range, beam) of a file, or frame N of `path:N`; a fan picture is given as (row, column).
+    Raises:
+        SonarjaxError: As `read_frames`, or the file holds several frames.
     """
     frame = next(iter_frames(spec))
     if frame.meta["n_frames"] > 1 and split_spec(spec).number is None:
@@ -73,10 +75,12 @@ def one_frame(spec: str) -> Frame:
 
 
 def to_bag(spec: str, out: str, options: FanOptions = FanOptions()) -> str:
-    """Write all frames (range, beam) of `spec` as the sonar images of a ROS bag, `out` ending in .bag or .mcap.
+    """Write all frames (range, beam) of `spec` as the sonar images of a ROS bag; `out` ends in .bag or .mcap.
+    Returns:
+        One line that says what was written.
 
-    Returns one line that says what was made. Raises SonarjaxError for options, which are of fan pictures, and as
-    `read_frames` and `write_bag` do.
+    Raises:
+        SonarjaxError: An option is given (options are for fan pictures), or as `read_frames` and `write_bag`.
     """
     for name in FanOptions.__dataclass_fields__:
         if getattr(options, name) not in (None, False):
@@ -85,10 +89,13 @@ def to_bag(spec: str, out: str, options: FanOptions = FanOptions()) -> str:
 
 
 def convert(frame: Frame, out: str, options: FanOptions = FanOptions()) -> str:
-    """Write `frame`, a fan picture, as a polar frame where `out` ends in .npz, or a polar one as a fan in a .png.
+    """Write `frame`: a fan picture as a polar frame if `out` ends in .npz, a polar frame as a fan picture if in .png.
+    Returns:
+        One line that says what was written.
 
-    Returns one line that says what was made. Raises SonarjaxError for another ending, for options that are missing or
-    of the other way, for a picture without a fan, and when `out` cannot be written.
+    Raises:
+        SonarjaxError: The ending is another; options are missing, or are for the other direction; the picture shows no
+            fan; or `out` cannot be written.
     """
     ending = os.path.splitext(out)[1].lower()
     if ending not in (".npz", ".png"):
@@ -101,7 +108,7 @@ def convert(frame: Frame, out: str, options: FanOptions = FanOptions()) -> str:
             raise SonarjaxError(f"{_option(name)}: expected only with a .{other} as --out, got {out!r}")
     try:
         return (_to_polar if ending == ".npz" else _to_fan)(frame, out, options)
-    except SonarjaxError as error:  # what is said of a fan or an option is said of this file
+    except SonarjaxError as error:  # add the file to a message about its fan or an option
         text = str(error)
         raise SonarjaxError(f"{frame.source}: {text}" if text.startswith(("fan: ", "--")) else text) from error
 
@@ -137,7 +144,7 @@ def _to_fan(polar: Frame, out: str, options: FanOptions) -> str:
 
 
 def _axes(polar: Frame, options: FanOptions) -> tuple[np.ndarray, np.ndarray]:
-    """Beam centres [rad] and range edges [m]: the file's own, else from the options."""
+    """Beam centres [rad] and range edges [m], from the file or else from the options."""
     held, (bins, beams) = polar.geometry or {}, polar.shape
     if not {"azimuth_deg", "range_min_m", "range_max_m"} <= set(held):
         opening_deg, near, far = _sector(options, "a frame without azimuth_deg and range_edges_m")
@@ -150,7 +157,7 @@ def _axes(polar: Frame, options: FanOptions) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _opening(azimuth: np.ndarray, options: FanOptions) -> float:
-    """Full angle of a fan about the middle beam that holds all beams, each as wide as the outermost [rad]."""
+    """Full angle [rad] of a fan about the middle beam that holds all beams, the outer ones as wide as their spacing."""
     if options.opening_deg is not None:
         return math.radians(options.opening_deg)
     if azimuth.size == 1:
@@ -160,7 +167,7 @@ def _opening(azimuth: np.ndarray, options: FanOptions) -> float:
 
 
 def _sector(options: FanOptions, what: str) -> tuple[float, float, float]:
-    """Opening [deg], nearest and farthest range [m]; all of them are needed with `what`."""
+    """Opening [deg], nearest and farthest range [m]; `what`, for the message, needs all three."""
     values = [getattr(options, name) for name in SECTOR]
     if None in values:
         raise SonarjaxError(f"{_option(SECTOR[values.index(None)])}: expected with {what}")

@@ -1,4 +1,4 @@
-"""Text about a file: what `sonarjax info FILE` prints."""
+"""A description of a file, as text: what `sonarjax info FILE` prints."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from sonarjax.io.toml import read_toml
 
 
 def describe(spec: str | os.PathLike[str]) -> str:
-    """What a frame file, sonar recording, `sonar.toml` or weights file holds, in lines of `name: value`.
+    """Describe a frame file, sonar recording, `sonar.toml` or weights file, in lines of `name: value`.
+    For a recording this describes the first frame, or frame N of `path:N`; for weights, how they were trained.
 
-    Of a recording the first frame is described, or frame N of `path:N`; of weights how they were trained. Raises
-    SonarjaxError when it cannot be read.
+    Raises:
+        SonarjaxError: The file cannot be read.
     """
     path, index, _ = split_spec(spec)
     ending = os.path.splitext(path)[1].lower()
@@ -31,7 +32,7 @@ def describe(spec: str | os.PathLike[str]) -> str:
     if ending != ".npz":
         return _text(_first(spec, path, index))
     listed = _arrays(NpzArchive(read_bytes(path), path))
-    if "array image" not in listed:  # labels, a template bank: still worth a look
+    if "array image" not in listed:  # labels or a template bank: the arrays are still worth listing
         return _text({"file": path, "format": "NPZ without a frame", **listed})
     return _text({**_first(spec, path, index), **listed})
 
@@ -71,7 +72,7 @@ def _array(archive: NpzArchive, key: str) -> str:
 
 
 def _tables(document: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested tables flattened to dotted keys."""
+    """Flatten nested tables to dotted keys."""
     lines: dict[str, Any] = {}
     for key, value in document.items():
         if isinstance(value, dict):

@@ -1,14 +1,16 @@
 """DIDSON recordings (`.ddf`, DDF_03 and DDF_04): bytes in, frames out.
+**Not checked on a real file.** Everything comes from published readers. Doubtful numbers are fields of `DidsonTables`,
+an argument of the reader:
+- the file header of version 4 (1024 bytes; one source says 512): found by the frame's own signature if it has one;
+- the window starts and lengths, above all the shortest extended window (1.25 m; one source says 0.83 m), and the tables
+  and frequencies of the long-range model;
+- the lens polynomial and its direction: it is read as beam number over azimuth growing to port.
 
-**Not checked on a real file.** Everything comes from published readers; what is doubtful stands in `DidsonTables`, an
-argument of the reader, as far as it is a number:
-- the file header of version 4 (1024 bytes; one source says 512): found by the frame's own signature where it has one;
-- the window starts and lengths, above all the shortest extended window (1.25 m; one source says 0.83 m), and the
-  tables and frequencies of the long-range model;
-- the lens polynomial and its direction: it is read as beam number against azimuth growing to port;
-- stored beam 0 is taken as the rightmost, as in ARIS files, unless the file's `reverse` flag is set;
-- the sign of the tilt (taken as positive up, so `tilt_deg` is its negative) and of the roll.
-Known and left out: sonars with serial numbers under 19 use the classic windows whatever the flag says.
+Doubtful choices in the code:
+- stored beam 0 is assumed to be the rightmost, as in ARIS files, unless the file's `reverse` flag is set;
+- the sign of the tilt (assumed positive up, so `tilt_deg` is its negative) and that of the roll.
+
+Known and ignored: sonars with serial numbers under 19 use the classic windows whatever the flag says.
 """
 
 from __future__ import annotations
@@ -35,7 +37,7 @@ FILE_FIELDS: Fields = {
     "reverse": (40, "i"),
     "serial": (44, "i"),
 }
-"""What is read of the file header."""
+"""Fields that are read of the file header."""
 FRAME_FIELDS: Fields = {
     "window start": (52, "i"),
     "window length": (56, "i"),
@@ -44,19 +46,19 @@ FRAME_FIELDS: Fields = {
     "roll": (168, "f"),
     "configflags": (192, "I"),
 }
-"""What is read of a frame header: codes, and angles in degrees."""
+"""Fields that are read of a frame header: codes, and angles in degrees."""
 
 
 @dataclass(frozen=True)
 class DidsonTables:
-    """What published readers say of the format; replace a field to try another reading."""
+    """What published readers say about the format; replace a field to try another interpretation."""
 
     file_header_bytes: dict[int, tuple[int, ...]] = field(default_factory=lambda: {3: (512,), 4: (1024, 512)})
-    """Version -> candidate sizes of the file header, the likeliest first [bytes]."""
+    """Version -> possible sizes of the file header, the most likely first [bytes]."""
     frame_header_bytes: dict[int, int] = field(default_factory=lambda: {3: 256, 4: 1024})
     """Version -> size of a frame header [bytes]."""
     start_step_m: tuple[float, float] = (0.419, 0.375)
-    """Range per unit of the window-start code, extended and classic; doubled in low frequency [m]."""
+    """Range for each unit of the window-start code, extended and classic; doubled at low frequency [m]."""
     lengths_m: tuple[Lengths, Lengths, Lengths, Lengths] = (
         (1.25, 2.5, 5.0, 10.0, 20.0, 40.0),
         (1.125, 2.25, 4.5, 9.0, 18.0, 36.0),
@@ -65,11 +67,11 @@ class DidsonTables:
     )
     """Window lengths [m] by configflags: extended, classic, long range extended, long range classic."""
     lens: tuple[float, float, float, float] = (0.0030, -0.0055, 2.6829, 48.04)
-    """Cubic c3 … c0 of azimuth [deg]; times `lens_scale` plus 1 it is the beam number, 1 … 96."""
+    """Coefficients c3 … c0 of a cubic in azimuth [deg]; times `lens_scale`, plus 1, it is the beam number, 1 … 96."""
     lens_scale: float = 1.012
-    """Factor of the lens cubic."""
+    """Factor on the lens cubic."""
     frequencies_hz: tuple[tuple[float, float], tuple[float, float]] = ((1.1e6, 1.8e6), (0.7e6, 1.2e6))
-    """(low, high) frequency of the standard and of the long-range model [Hz]."""
+    """(low, high) frequency of the standard model and of the long-range model [Hz]."""
 
 
 DIDSON_TABLES = DidsonTables()
@@ -88,7 +90,7 @@ class DidsonFile:
     n_ranges: int
     """Range bins of a frame."""
     reverse: bool
-    """True where stored beam 0 is taken as the port-most one."""
+    """True if stored beam 0 is taken as the port-most beam."""
     serial: int
     """Serial number of the sonar."""
     header_bytes: int
@@ -103,7 +105,7 @@ class DidsonFile:
 
 
 def didson_azimuth_deg(n_beams: int, tables: DidsonTables = DIDSON_TABLES) -> Float64[np.ndarray, "beam"]:
-    """Ascending beam centres (beam,) [deg]: the lens cubic, inverted by a fine table; 48 beams are pairs of the 96."""
+    """Ascending beam centres (beam,) [deg]: the lens cubic, inverted by a fine table. 48 beams are pairs of the 96."""
     azimuth = np.linspace(-20.0, 20.0, 4001)
     beam = tables.lens_scale * np.polyval(tables.lens, azimuth) + 1
     wanted = np.arange(1.0, 97.0) if n_beams == 96 else np.arange(1.5, 97.0, 2.0)
@@ -114,9 +116,15 @@ def parse_didson(
     data: Content, name: str, index: int | None = None, tables: DidsonTables = DIDSON_TABLES
 ) -> Iterator[Frame]:
     """Yield the frames of a DIDSON file, or only frame `index`; `image` = stored byte / 255, shape (range, beam).
+    Args:
+        data: Content of the file.
+        name: Its path, for messages.
+        index: Number of a frame, from 0; None for all.
+        tables: How to interpret the format.
 
-    `data` is the file's content and `name` its path, for messages. Raises SonarjaxError for a wrong signature, sizes or
-    window codes, a file without a complete frame, or an index out of range.
+    Raises:
+        SonarjaxError: The signature, sizes or window codes are wrong, no frame is complete, or the index is out of
+            range.
     """
     return frames_of(didson_records(data, name, index, tables))
 
@@ -124,7 +132,7 @@ def parse_didson(
 def didson_records(
     data: Content, name: str, index: int | None = None, tables: DidsonTables = DIDSON_TABLES
 ) -> Iterator[Record]:
-    """As `parse_didson`, but a frame that cannot be read is yielded as its error and costs no other."""
+    """As `parse_didson`, but a frame that cannot be read is yielded as its error; the others are not affected."""
     file = didson_file(data, name, tables)
     n_frames = didson_frame_count(data, file)
     if n_frames == 0:
@@ -134,12 +142,12 @@ def didson_records(
 
 
 def didson_frame_count(data: Content, file: DidsonFile) -> int:
-    """Complete frames in the file, from its size alone."""
+    """Number of complete frames in the file, from its size alone."""
     return max(0, len(data) - file.header_bytes) // file.frame_bytes
 
 
 def didson_file(data: Content, name: str, tables: DidsonTables = DIDSON_TABLES) -> DidsonFile:
-    """Read the file header. Raises SonarjaxError naming the field that is wrong."""
+    """Read the file header. Raises a SonarjaxError that names the wrong field."""
     header = Header(data, name)
     signature = header.unpack("3sB", 0, "signature")
     if signature[0] != b"DDF" or signature[1] not in (3, 4):

@@ -1,5 +1,5 @@
-"""The one exception that bad input raises: a single clear line naming the file, the field and what was expected."""
+"""The one exception for bad input: a single clear line that names the file, the field and what was expected."""
 
 
 class SonarjaxError(ValueError):
-    """Input or output that cannot be used; the message is one line and fit to show to a user."""
+    """Input or output that cannot be used. The message is a single line that can be shown to a user."""

@@ -1,11 +1,10 @@
-"""Fan pictures to polar images and back, by averaging: nothing of the finer grid is skipped.
-
-Polar images have the package's convention: axis 0 is range, near first, axis 1 the beam in ascending azimuth, so column
-0 is starboard-most. `FanGeometry` says where a picture's pixels lie. A cell of the target that covers several of the
-source's pixels takes the mean of as many places in it. Between pixels both ways interpolate: with `order` 3 by a cubic
-spline (the default: it keeps speckle), with 1 linearly (never brighter or darker than the pixels around), with 0 the
-nearest pixel's value is taken as it is: labels stay labels. What was not measured (black corners, a mask) counts as
-what is measured nearest to it, so edges neither darken nor ring.
+"""Fan pictures to polar images and back, by averaging, so that no pixel of the finer grid is skipped.
+Polar images follow the package's convention: axis 0 is range, near first, axis 1 the beam in ascending azimuth, so
+column 0 is starboard-most. `FanGeometry` says where a picture's pixels lie. A cell of the target that covers several
+pixels of the source takes the mean of that many points in it. Between pixels both directions interpolate: with `order`
+3 by a cubic spline (the default, which keeps speckle), with 1 linearly (never brighter or darker than the pixels
+around), with 0 by the nearest pixel, so that labels stay labels. A pixel that was not measured (black corners, a mask)
+takes the value of the nearest measured one, so that edges neither darken nor ring.
 """
 
 from __future__ import annotations
@@ -22,11 +21,11 @@ from sonarjax.io.fan_geometry import FanGeometry
 from sonarjax.io.npy import PIXEL_LIMIT
 
 LEAST_WEIGHT = 0.01
-"""Share of a cell's interpolation weight that must fall on measured pixels."""
+"""Least share of a cell's interpolation weight that must fall on measured pixels."""
 NEAREST_RANGE = 1 / 8
-"""Share of the largest range: nearer to the sonar, where beams become ever narrower, a pixel's beams are subsampled."""
+"""Share of the largest range. Nearer than that, beams become ever narrower, and not every one in a pixel is sampled."""
 MOST_PARTS = 64
-"""Most places along one side of a cell of which a mean is taken."""
+"""Most points along one side of a cell that are averaged."""
 
 Order = Literal[0, 1, 3]
 Places = Iterator[tuple[np.ndarray, np.ndarray]]
@@ -38,13 +37,21 @@ def fan_to_polar(
     shape: tuple[int, int] | None = None,
     order: Order = 3,
 ) -> tuple[Shaped[np.ndarray, "range beam"], Bool[np.ndarray, "range beam"]]:
-    """A fan picture (row, column) as a polar image (range, beam) with its mask (range, beam).
+    """Turn a fan picture (row, column) into a polar image (range, beam).
+    Args:
+        picture: The fan picture (row, column).
+        geometry: Where its pixels lie.
+        shape: Numbers of range bins and beams, by default `geometry.polar_shape()`. They divide the sector evenly, as
+            `geometry.range_edges` and `geometry.azimuth` say.
+        order: Interpolation, see the module.
 
-    `shape` is the number of range bins and beams, by default `geometry.polar_shape()`; they divide the sector evenly,
-    as `geometry.range_edges` and `geometry.azimuth` say. The mask is true where the picture shows the cell; elsewhere
-    the image is 0. The image is float32 on the picture's own scale and within its values; with `order` 0 it has the
-    picture's type.
-    Raises SonarjaxError for an empty picture or shape, and more than `PIXEL_LIMIT` cells.
+    Returns:
+        The image (range, beam) and its mask (range, beam). The mask is true where the picture shows the cell; elsewhere
+        the image is 0. The image is float32, on the picture's own scale and within its values; with `order` 0 it has
+        the picture's type.
+
+    Raises:
+        SonarjaxError: The picture or shape is empty, or there are more than `PIXEL_LIMIT` cells.
     """
     bins, beams = _checked(geometry.polar_shape() if shape is None else shape)
     _checked(picture.shape)
@@ -62,13 +69,25 @@ def polar_to_fan(
     mask: Bool[np.ndarray, "range beam"] | None = None,
     order: Order = 3,
 ) -> tuple[Shaped[np.ndarray, "row column"], Bool[np.ndarray, "row column"]]:
-    """A polar image (range, beam) as a fan picture (row, column) of `shape`, with its mask (row, column).
+    """Turn a polar image (range, beam) into a fan picture (row, column).
+    With the geometry and shape of a picture that `fan_to_polar` took, a map made from it returns to that picture's
+    pixels.
 
-    `azimuth` (beam,) are beam centres in ascending order [rad], `range_edges` (range_edge,) the edges of the range bins
-    [m], `mask` (range, beam) says what was measured (default: all). With the geometry and shape of a picture that
-    `fan_to_polar` took, a map made of it comes back to that picture's pixels. The mask is true where a pixel's centre
-    lies in the measured sector; elsewhere the picture is 0. Types and `order` as in `fan_to_polar`.
-    Raises SonarjaxError for axes that do not fit the image or do not ascend, an empty shape, and too many pixels.
+    Args:
+        image: The polar image (range, beam).
+        azimuth: Beam centres (beam,) in ascending order [rad].
+        range_edges: Edges (range_edge,) of the range bins [m].
+        geometry: Where the picture's pixels lie.
+        shape: Rows and columns of the picture.
+        mask: What was measured (range, beam); None for everything.
+        order: Interpolation, see the module.
+
+    Returns:
+        The picture (row, column) and its mask (row, column). The mask is true where a pixel's centre lies in the
+        measured sector; elsewhere the picture is 0. Types as in `fan_to_polar`.
+
+    Raises:
+        SonarjaxError: The axes do not fit the image or do not ascend, the shape is empty, or there are too many pixels.
     """
     rows, columns = _checked(shape)
     _check_axis("azimuth", azimuth, image.shape[1])
@@ -84,16 +103,15 @@ def polar_to_fan(
 def _sample(
     source: np.ndarray, measured: np.ndarray, places: Places, shape: tuple[int, int], order: Order
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Mean of `source` over `places` (row, column), one for each cell of `shape` in every item, and where it is known.
-
-    Known is what has a measured pixel beside it.
+    """For each cell of `shape`, the mean of `source` over `places`, and whether it is known.
+    Every item of `places` holds a (row, column) for each cell. A cell is known if a measured pixel is close enough.
     """
     values = source if order == 0 else source.astype(np.float32)
     if not measured.any():
         return np.zeros(shape, values.dtype), np.zeros(shape, bool)
     known = measured.astype(np.float32)
     values = _filled(values, measured)
-    low, high = values.min(), values.max()  # a spline can swing beyond
+    low, high = values.min(), values.max()  # a spline can overshoot
     if order == 3:
         values = ndimage.spline_filter(values, order, output=np.float32, mode="mirror")
     total, weight, count = np.zeros(shape, values.dtype), np.zeros(shape, np.float32), 0
@@ -108,7 +126,7 @@ def _sample(
 
 
 def _filled(values: np.ndarray, measured: np.ndarray) -> np.ndarray:
-    """Every pixel that was not measured takes the value of the nearest that was."""
+    """Give every pixel that was not measured the value of the nearest measured one."""
     if measured.all():
         return values
     nearest = ndimage.distance_transform_edt(~measured, return_distances=False, return_indices=True)
@@ -116,7 +134,9 @@ def _filled(values: np.ndarray, measured: np.ndarray) -> np.ndarray:
 
 
 def _places_in_picture(geometry: FanGeometry, shape: tuple[int, int], parts: tuple[int, int]) -> Places:
-    """Rows and columns, counted from the first pixel's centre, of a part of every polar cell, for all its parts."""
+    """Rows and columns, from the first pixel's centre, of the first part of every polar cell, then of each
+    further part.
+    """
     (bins, beams), (fine_bins, fine_beams) = shape, parts
     edges, angles = geometry.range_edges(bins * fine_bins), geometry.azimuth(beams * fine_beams)
     ranges = (edges[1:] + edges[:-1]) / 2
@@ -130,7 +150,7 @@ def _places_in_picture(geometry: FanGeometry, shape: tuple[int, int], parts: tup
 def _places_in_image(
     geometry: FanGeometry, shape: tuple[int, int], edges: tuple[np.ndarray, np.ndarray], parts: tuple[int, int]
 ) -> Places:
-    """Bins and beams, counted from the first cell's centre, of a part of every pixel, for all its parts."""
+    """Bins and beams, from the first cell's centre, of the first part of every pixel, then of each further part."""
     for i in range(parts[0]):
         for j in range(parts[1]):
             ranges, angles = geometry.places(*_centres(shape, (i + 0.5) / parts[0], (j + 0.5) / parts[1]))
@@ -138,12 +158,12 @@ def _places_in_image(
 
 
 def _cell(values: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Number of the cell between `edges` in which each value lies, with its fraction: whole at the cell's centre."""
+    """Number of the cell between `edges` in which each value lies, with a fraction that is 0 at the cell's centre."""
     return np.interp(values, edges, np.arange(edges.size)) - 0.5
 
 
 def _centres(shape: tuple[int, int], down: float = 0.5, right: float = 0.5) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns of a place in every pixel: its centre, or the shares `down` and `right` of its size."""
+    """Rows and columns of a point in every pixel: its centre, or the shares `down` and `right` of its size."""
     rows, columns = np.meshgrid(np.arange(shape[0]) + down, np.arange(shape[1]) + right, indexing="ij")
     return rows, columns
 
@@ -151,20 +171,20 @@ def _centres(shape: tuple[int, int], down: float = 0.5, right: float = 0.5) -> t
 def _covered(
     ranges: Float[np.ndarray, "*grid"], angles: Float[np.ndarray, "*grid"], edges: tuple[np.ndarray, np.ndarray]
 ) -> Bool[np.ndarray, "*grid"]:
-    """Which places lie between the outermost edges of the range bins [m] and of the beams [rad]."""
+    """Which points lie between the outermost edges of the range bins [m] and of the beams [rad]."""
     (near, far), (starboard, port) = edges[0][[0, -1]], edges[1][[0, -1]]
     return (near <= ranges) & (ranges <= far) & (starboard <= angles) & (angles <= port)
 
 
 def _inside(geometry: FanGeometry, shape: tuple[int, int]) -> Bool[np.ndarray, "row column"]:
-    """Pixels whose centre lies in the sector."""
+    """Which pixels have their centre in the sector."""
     half = geometry.opening / 2
     edges = np.array([geometry.range_min, geometry.range_max]), np.array([-half, half])
     return _covered(*geometry.places(*_centres(shape)), edges)
 
 
 def _parts_of_cell(geometry: FanGeometry, shape: tuple[int, int]) -> tuple[int, int]:
-    """How many pixels the largest polar cell covers along range and across it; linear interpolation spans the rest."""
+    """How many pixels the largest polar cell covers along range and across it; interpolation covers the remainder."""
     angles = np.array([0.0, min(geometry.opening, np.pi) / 2])
     along = np.hypot(np.cos(angles) / geometry.row_m, np.sin(angles) / geometry.column_m).max()
     across = np.hypot(np.sin(angles) / geometry.row_m, np.cos(angles) / geometry.column_m).max()
@@ -187,7 +207,7 @@ def _parts(covered: float) -> int:
 
 
 def _beam_edges(azimuth: np.ndarray, opening: float) -> Float[np.ndarray, "beam_edge"]:
-    """Edges of beams [rad]: midway between centres, the outer two as far out as theirs; one beam fills the opening."""
+    """Edges of beams [rad]: midway between centres, the outer two as far from theirs; a single beam fills all."""
     centres = np.asarray(azimuth, np.float64)
     if centres.size == 1:
         return centres + np.array([-opening / 2, opening / 2])

@@ -1,13 +1,12 @@
-"""Where a fan picture's pixels lie in the sonar's plane: `FanGeometry`, and the rule that finds it for a picture.
+"""Where the pixels of a fan picture lie in the sonar's plane: `FanGeometry`, and the rule that finds it for a picture.
+A fan picture shows the insonified sector from above: far is up, the sonar (the apex) is at the bottom of the picture or
+below it, port is on the left, starboard on the right. Publishers resize such pictures, so rows and columns may have
+different lengths in metres. Positions in a picture are in pixels from its upper left corner: the first pixel reaches
+from 0 to 1, and its centre is at 0.5.
 
-A fan picture shows the insonified sector as seen from above: far is up, the sonar (the apex) is at the bottom or below
-the picture, port is on the left, starboard on the right. Publishers resize such pictures, so rows and columns may have
-different lengths in metres. Places in a picture are counted in pixels from its upper left corner: the first pixel
-reaches from 0 to 1, and its centre is at 0.5.
-
-The rule: the pixels above 0 are the sector, and their bounding box is the sector's own. It is 2 · range_max ·
-sin(opening / 2) wide (twice range_max from 180° on); its upper edge is where the middle beam ends, its lower edge where
-the outer beams begin (range_min · cos(opening / 2) in front of the sonar) or, from 180° on, where they end.
+The rule: the pixels above 0 are the sector, and their bounding box is that of the sector. It is 2 · range_max ·
+sin(opening / 2) wide (twice range_max from 180° on). Its upper edge is where the middle beam ends. Its lower edge is
+where the outer beams begin (range_min · cos(opening / 2) in front of the sonar) or, from 180° on, where they end.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from sonarjax.io.npy import PIXEL_LIMIT
 
 
 class PictureBox(NamedTuple):
-    """A rectangle in a picture, its edges in pixels from the upper left corner."""
+    """A rectangle in a picture; edges in pixels from the upper left corner."""
 
     top: float
     """Upper edge [pixels]."""
@@ -38,18 +37,20 @@ class PictureBox(NamedTuple):
 
 @dataclass(frozen=True)
 class FanGeometry:
-    """A sector and how it lies in a picture. Ranges are slant ranges; azimuth grows to port, the middle beam has 0."""
+    """A sector and its position in a picture. Ranges are slant ranges; azimuth grows to port, the middle beam has 0."""
 
     opening: float
-    """Full angle of the sector, from the outer edge of one outer beam to that of the other [rad]."""
+    """Full angle of the sector, between the outer edges of the two outer beams [rad]."""
     range_min: float
-    """Where the sector begins [m]."""
+    """Range at which the sector begins [m]."""
     range_max: float
-    """Where it ends [m]."""
+    """Range at which it ends [m]."""
     apex_row: float
-    """The sonar's place in rows from the picture's upper edge [pixels]; below the picture it exceeds its height."""
+    """Position of the sonar in rows from the picture's upper edge [pixels]; more than the picture's height if
+    it is below.
+    """
     apex_column: float
-    """The sonar's place in columns from the picture's left edge [pixels]."""
+    """Position of the sonar in columns from the picture's left edge [pixels]."""
     row_m: float
     """Height of a pixel [m]."""
     column_m: float
@@ -58,7 +59,7 @@ class FanGeometry:
     def places(
         self, rows: Real[np.ndarray, "*grid"], columns: Real[np.ndarray, "*grid"]
     ) -> tuple[Float[np.ndarray, "*grid"], Float[np.ndarray, "*grid"]]:
-        """Range [m] and azimuth [rad] of places in the picture, given in pixels from its upper left corner."""
+        """Range [m] and azimuth [rad] of positions in the picture, in pixels from its upper left corner."""
         forward = (self.apex_row - rows) * self.row_m
         lateral = (self.apex_column - columns) * self.column_m
         return np.hypot(forward, lateral), np.arctan2(lateral, forward)
@@ -66,7 +67,7 @@ class FanGeometry:
     def pixels(
         self, ranges: Real[np.ndarray, "*grid"], azimuth: Real[np.ndarray, "*grid"]
     ) -> tuple[Float[np.ndarray, "*grid"], Float[np.ndarray, "*grid"]]:
-        """Rows and columns, in pixels from the upper left corner, of places at `ranges` [m] and `azimuth` [rad]."""
+        """Rows and columns, in pixels from the upper left corner, of points at `ranges` [m] and `azimuth` [rad]."""
         rows = self.apex_row - ranges * np.cos(azimuth) / self.row_m
         return rows, self.apex_column - ranges * np.sin(azimuth) / self.column_m
 
@@ -75,14 +76,13 @@ class FanGeometry:
         return np.linspace(self.range_min, self.range_max, bins + 1)
 
     def azimuth(self, beams: int) -> Float[np.ndarray, "beam"]:
-        """Centres (beam,) of `beams` equal beams over the sector, ascending: starboard to port [rad]."""
+        """Centres (beam,) of `beams` equal beams over the sector, ascending from starboard to port [rad]."""
         return equal_beams(self.opening, beams)
 
     def polar_shape(self) -> tuple[int, int]:
-        """Range bins and beams that keep the picture's resolution.
-
-        The bins are the rows of the sector along its middle, the beams the columns along the arc at mid range; beyond
-        it the picture is finer than the beams.
+        """Numbers of range bins and beams that keep the picture's resolution.
+        There are as many bins as rows along the middle of the sector, and as many beams as columns along the arc at mid
+        range. Farther away the picture is finer than the beams.
         """
         bins = (self.range_max - self.range_min) / self.row_m
         arc = self.opening * (self.range_max + self.range_min) / 2
@@ -90,14 +90,14 @@ class FanGeometry:
 
 
 def equal_beams(opening: float | int, beams: int) -> Float[np.ndarray, "beam"]:
-    """Centres (beam,) of `beams` equal beams side by side that fill `opening` [rad], ascending [rad]."""
+    """Centres (beam,) of `beams` equal, adjacent beams that fill `opening` [rad], ascending [rad]."""
     return ((np.arange(beams) + 0.5) / beams - 0.5) * opening
 
 
 def content_box(picture: Real[np.ndarray, "row column"]) -> PictureBox:
-    """The bounding box of the pixels above 0 of a picture (row, column).
-
-    Raises SonarjaxError when there is none.
+    """The bounding box of the pixels above 0 in a picture (row, column).
+    Raises:
+        SonarjaxError: There are none.
     """
     rows, columns = (np.flatnonzero((picture > 0).any(axis)) for axis in (1, 0))
     if rows.size == 0:
@@ -112,12 +112,18 @@ def fit_fan(
     range_max: float | int,
     apex_row: float | int | None = None,
 ) -> FanGeometry:
-    """The geometry of a picture whose sector has the bounding box `box`.
+    """The geometry of a picture in which the sector has the bounding box `box`.
+    Args:
+        box: The sector's bounding box.
+        opening: Full angle of the sector [rad].
+        range_min: Range at which the sector begins [m].
+        range_max: Range at which it ends [m].
+        apex_row: Row of the sonar, from the picture's upper edge [pixels]. By default it follows from the box's lower
+            edge (see the module's rule). If it is given, that edge is not used: the picture may be cut off below, or
+            show the sonar at its own lower edge.
 
-    The sector is `opening` [rad] wide and reaches from `range_min` to `range_max` [m]. `apex_row` is where the sonar
-    is, in rows from the picture's upper edge; without it the box's lower edge tells (see the module). With it that edge
-    is not used: a picture may be cut off below, or show the sonar at its own lower edge.
-    Raises SonarjaxError for an opening or window that no sonar has, an empty box, and an apex not below the box's top.
+    Raises:
+        SonarjaxError: No sonar has such an opening or range window, the box is empty, or the apex is not below its top.
     """
     half, top, bottom = _extent(float(opening), float(range_min), float(range_max))
     if not (box.bottom > box.top and box.right > box.left):
@@ -143,10 +149,11 @@ def fan_around(
     opening: float | int, range_min: float | int, range_max: float | int, pixel: float | int
 ) -> tuple[FanGeometry, tuple[int, int]]:
     """Geometry and shape (rows, columns) of a picture that just holds a sector, with pixels of about `pixel` [m].
+    `opening` [rad], `range_min` and `range_max` [m] are as in `fit_fan`. Complete pixels fill the sector's bounding
+    box, so their height and width differ slightly.
 
-    `opening` [rad], `range_min` and `range_max` [m] as in `fit_fan`. Whole pixels fill the sector's bounding box, so
-    their height and width differ slightly. Raises SonarjaxError as `fit_fan` does, and for a picture of more than
-    `PIXEL_LIMIT` pixels.
+    Raises:
+        SonarjaxError: As `fit_fan`, or the picture has more than `PIXEL_LIMIT` pixels.
     """
     half, top, bottom = _extent(float(opening), float(range_min), float(range_max))
     if not pixel > 0:
@@ -159,7 +166,7 @@ def fan_around(
 
 
 def _extent(opening: float, range_min: float, range_max: float) -> tuple[float, float, float]:
-    """Half width, and forward distance of the upper and lower edge, of a sector's bounding box [m]."""
+    """Half width of a sector's bounding box, and forward distance of its upper and lower edge [m]."""
     if not 0 < opening <= 2 * math.pi:
         raise SonarjaxError(f"fan: opening: expected above 0 and up to 360 deg, got {math.degrees(opening):g}")
     if not 0 <= range_min < range_max < math.inf:

@@ -1,4 +1,4 @@
-"""Content of files, read or mapped, with a clear error for what is no readable file with something in it."""
+"""Content of files, read or mapped, with a clear error if there is no readable file with something in it."""
 
 from __future__ import annotations
 
@@ -11,36 +11,36 @@ from contextlib import contextmanager
 from sonarjax.io.errors import SonarjaxError
 
 Content = bytes | mmap.mmap
-"""A file's content: read whole, or mapped, so that only the parts in use take memory."""
+"""A file's content: read completely, or mapped, so that only the parts in use take memory."""
 
 
 def reason(error: Exception) -> str:
-    """The operating system's words for an error, in one line and without the path."""
+    """The operating system's message for an error, in one line and without the path."""
     text = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
     return " ".join(text.split()) or type(error).__name__
 
 
 FILE_LIMIT = 16 * 2**30
-"""Largest file that is read whole, 16 GiB [bytes]. Half of the machine's memory where that is less."""
+"""Largest file that is read completely, 16 GiB [bytes]; half of the machine's memory if that is less."""
 
 
 def size_limit() -> int:
-    """Largest file that this machine can hold in memory, and no more than `FILE_LIMIT` [bytes]."""
+    """Largest file that this machine can hold in memory, at most `FILE_LIMIT` [bytes]."""
     try:
         memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    except (AttributeError, OSError, ValueError):  # not every system tells
+    except (AttributeError, OSError, ValueError):  # not every system says
         return FILE_LIMIT
     return min(FILE_LIMIT, memory // 2) if memory > 0 else FILE_LIMIT
 
 
 def readable_size(size: int) -> str:
-    """A size [bytes] for messages, such as `1.5 GiB`."""
+    """A size [bytes] as text for messages, such as `1.5 GiB`."""
     power = min(max(size.bit_length() - 1, 0) // 10, 3)
     return f"{size / 1024**power:.4g} {('bytes', 'KiB', 'MiB', 'GiB')[power]}"
 
 
 def check_size(name: str, size: int, limit: int) -> None:
-    """Raises SonarjaxError when a file of `size` bytes is larger than `limit` [bytes]."""
+    """Raise a SonarjaxError if a file of `size` bytes is larger than `limit` [bytes]."""
     if size > limit:
         raise SonarjaxError(
             f"{name}: the file is too large: expected at most {readable_size(limit)}, got {readable_size(size)}"
@@ -48,9 +48,9 @@ def check_size(name: str, size: int, limit: int) -> None:
 
 
 def map_bytes(path: str | os.PathLike[str]) -> mmap.mmap:
-    """The content of a file of any size, mapped read-only: parts are read from the disk when they are used.
-
-    Raises SonarjaxError when it is missing, a folder, a device, unreadable or empty.
+    """Map a file of any size read-only: its parts are read from the disk when they are used.
+    Raises:
+        SonarjaxError: The file is missing, a folder, a device, unreadable or empty.
     """
     name = os.fspath(path)
     with _explained(name):
@@ -61,9 +61,9 @@ def map_bytes(path: str | os.PathLike[str]) -> mmap.mmap:
 
 
 def read_bytes(path: str | os.PathLike[str], allow_empty: bool = False, limit: int | None = None) -> bytes:
-    """The content of a file of at most `limit` bytes (by default what `size_limit` says).
-
-    Raises SonarjaxError when it is missing, a folder, a device, unreadable, empty or too large.
+    """Read a file of at most `limit` bytes (by default `size_limit`).
+    Raises:
+        SonarjaxError: The file is missing, a folder, a device, unreadable, empty or too large.
     """
     name = os.fspath(path)
     with _explained(name):
@@ -86,7 +86,7 @@ def _regular_size(name: str) -> int:
 
 @contextmanager
 def _explained(name: str) -> Iterator[None]:
-    """What goes wrong while a file is opened, as a SonarjaxError that names it."""
+    """Turn whatever goes wrong while a file is opened into a SonarjaxError that names it."""
     try:
         yield
     except FileNotFoundError as error:

@@ -24,15 +24,14 @@ class Frame:
     mask: Bool[np.ndarray, "range beam"] | None
     """True where the pixel was measured, shape (range, beam); None means everywhere."""
     source: str
-    """The spec that reads this frame again: `path`, or `path:N` in a file of several frames."""
+    """The name that reads this frame again: `path`, or `path:N` for a file of several frames."""
     stem: str
-    """Stem for names of output files: the file's own, with `_N` in a file of several frames."""
+    """Stem for the names of output files: that of the file, with `_N` for a file of several frames."""
     geometry: Geometry | None = None
     """What the file says of the sonar, under the keys of `sonar.toml` ([m], [m/s], [Hz], `_deg`: [deg]).
-
-    A key is absent when the file does not tell it, None stands for no geometry at all. Possible keys: azimuth_deg
-    (ascending list), range_min_m, range_max_m, n_ranges, tilt_deg (positive down), roll_deg, sound_speed_m_s,
-    frequency_hz, elevation_aperture_deg.
+    A key is absent if the file does not give it; None means that there is no geometry at all. Possible keys:
+    azimuth_deg (ascending list), range_min_m, range_max_m, n_ranges, tilt_deg (positive down), roll_deg,
+    sound_speed_m_s, frequency_hz, elevation_aperture_deg.
     """
     meta: dict[str, Any] = field(default_factory=dict)
     """What else the header says: `format`, `frame_index`, `n_frames`, `stored_scale` and fields of the format."""

@@ -1,4 +1,6 @@
-"""`Header`: bounds-checked little-endian fields of a binary file: a short or hostile file gives one clear error."""
+"""`Header`: bounds-checked little-endian fields of a binary file, so that a short or hostile file gives one
+clear error.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,7 @@ Fields = dict[str, tuple[int, str]]
 
 @dataclass(frozen=True)
 class Header:
-    """A view of `data` from byte `base` on; `name` and `part` (such as "frame 3") open every message."""
+    """A view of `data` that starts at byte `base`; `name` and `part` (such as "frame 3") begin every message."""
 
     data: Content
     """Content of the whole file."""
@@ -28,21 +30,23 @@ class Header:
     base: int = 0
     """Where this header starts in the file [bytes]."""
     part: str = "file header"
-    """What of the file it heads, for messages."""
+    """The part of the file to which the header belongs, for messages."""
 
     def error(self, field: str, problem: str) -> SonarjaxError:
         """The error to raise about one field."""
         return SonarjaxError(f"{self.name}: {self.part}: {field}: {problem}")
 
     def unpack(self, layout: str, offset: int, field: str) -> tuple:
-        """Fields of the struct `layout` (little-endian) at `offset` [bytes]. Raises SonarjaxError past the end."""
+        """Fields of the struct `layout` (little-endian) at `offset` [bytes]. Raises SonarjaxError if the file
+        ends before.
+        """
         start, size = self.base + offset, struct.calcsize("<" + layout)
         if start + size > len(self.data):
             raise self.error(field, f"truncated: expected {start + size} bytes or more, the file has {len(self.data)}")
         return struct.unpack_from("<" + layout, self.data, start)
 
     def fields(self, table: Fields, size: int) -> dict[str, Any]:
-        """Every field of `table` in a header of `size` bytes. Raises SonarjaxError when the file ends inside it."""
+        """Every field of `table` in a header of `size` bytes. Raises SonarjaxError if the file ends inside it."""
         if self.base + size > len(self.data):
             raise self.error("header", f"truncated: expected {self.base + size} bytes, the file has {len(self.data)}")
         return {
@@ -51,21 +55,21 @@ class Header:
         }
 
     def count(self, value: int, field: str, largest: int) -> int:
-        """`value` if it lies in 1 … `largest`, else SonarjaxError."""
+        """Return `value` if it is between 1 and `largest`, else raise SonarjaxError."""
         if not 1 <= value <= largest:
             raise self.error(field, f"expected 1 to {largest}, got {value}")
         return value
 
     def quantity(self, value: float, field: str, low: float, high: float, unit: str) -> float:
-        """`value` if it is finite and lies in [low, high], else SonarjaxError."""
+        """Return `value` if it is finite and between `low` and `high`, else raise SonarjaxError."""
         if not (math.isfinite(value) and low <= value <= high):
             raise self.error(field, f"expected {low:g} to {high:g} {unit}, got {value:g}")
         return value
 
     def pixels(self, offset: int, n_ranges: int, n_beams: int, dtype: str = "<u1") -> Float32[np.ndarray, "range beam"]:
-        """Samples stored range by range, as float32 in [0, 1] of the integer type's maximum.
-
-        Raises SonarjaxError, before anything is allocated, when the file ends before the last sample.
+        """Samples stored range by range (range, beam), as float32 in [0, 1], divided by the integer type's maximum.
+        Raises:
+            SonarjaxError: The file ends before the last sample. Nothing is allocated before this check.
         """
         stored, start = np.dtype(dtype), self.base + offset
         end = start + n_ranges * n_beams * stored.itemsize
@@ -79,10 +83,10 @@ class Header:
 
 
 RANGE_LIMIT_M = 1000.0
-"""No imaging sonar looks farther; a header that says so is corrupt [m]."""
+"""No imaging sonar reaches farther [m]; a header that says so is corrupt."""
 
 
 def angles(tilt: float, roll: float) -> dict[str, float]:
-    """`tilt_deg` and `roll_deg` [deg] of a header, a key left out where the device wrote NaN or nonsense."""
+    """`tilt_deg` and `roll_deg` [deg] of a header; a key is left out if the device wrote NaN or an impossible angle."""
     found = {"tilt_deg": tilt, "roll_deg": roll}
     return {key: value + 0.0 for key, value in found.items() if math.isfinite(value) and abs(value) <= 360.0}

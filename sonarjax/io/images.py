@@ -1,6 +1,5 @@
 """Plain images (PNG, NPY, NPZ) as frames, with every check on type, size and values that a frame must pass.
-
-An NPZ holds `image`, perhaps `mask` (true where measured), and perhaps `azimuth_deg` and `range_edges_m`, as
+An NPZ holds `image`, optionally `mask` (true where measured), and optionally `azimuth_deg` and `range_edges_m`, as
 `sonarjax render` writes them. At most `PIXEL_LIMIT` pixels are unpacked, whatever a header asks for.
 """
 
@@ -18,15 +17,16 @@ from sonarjax.io.npy import NpzArchive, parse_npy
 from sonarjax.io.png import parse_png
 
 ROUNDING = 1e-6
-"""Floats this far outside [0, 1] are taken as rounding of float32 arithmetic and clipped."""
+"""Floats up to this far outside [0, 1] are put down to float32 rounding and clipped."""
 
 
 def unit_image(values: np.ndarray, name: str) -> Float32[np.ndarray, "range beam"]:
-    """An image (range, beam) as float32 in [0, 1]: integers divided by their type's maximum, floats as they are.
+    """An image (range, beam) as float32 in [0, 1]: integers divided by the maximum of their type, floats unchanged.
+    64-bit integers are refused: they come from a careless `astype(int)`, and divided by 2^63 the image would be black.
 
-    Raises SonarjaxError for a shape that is not (range, beam) or empty, a type that is no number, negative integers,
-    and floats that are NaN, infinite or outside [0, 1] (by more than rounding). 64-bit integers are refused: they are a
-    slip of `astype(int)`, and divided by 2^63 the image would be black.
+    Raises:
+        SonarjaxError: The shape is not (range, beam) or is empty; the type is not a number; integers are negative; or
+            floats are NaN, infinite or outside [0, 1] by more than rounding.
     """
     if values.ndim != 2 or values.size == 0:
         raise SonarjaxError(f"{name}: image: expected a shape (range, beam) that is not empty, got {values.shape}")
@@ -65,17 +65,17 @@ def bool_mask(values: np.ndarray, shape: tuple[int, int], name: str) -> Bool[np.
 
 
 def parse_png_frame(data: bytes, name: str, index: int | None = None) -> Iterator[Frame]:
-    """The one frame of a grey PNG (polar, near row first). Raises SonarjaxError for what cannot be used."""
+    """The frame of a grey PNG (polar, near row first). Raises SonarjaxError if it cannot be used."""
     yield _single(parse_png(data, name), name, index, "PNG")
 
 
 def parse_npy_frame(data: bytes, name: str, index: int | None = None) -> Iterator[Frame]:
-    """The one frame of an NPY of shape (range, beam). Raises SonarjaxError for what cannot be used."""
+    """The frame of an NPY of shape (range, beam). Raises SonarjaxError if it cannot be used."""
     yield _single(parse_npy(data, name, "image"), name, index, "NPY")
 
 
 def parse_npz_frame(data: bytes, name: str, index: int | None = None) -> Iterator[Frame]:
-    """The one frame of an NPZ: `image`, `mask` and geometry, if any. Raises SonarjaxError for what cannot be used."""
+    """The frame of an NPZ: `image`, and `mask` and geometry if present. Raises SonarjaxError if it cannot be used."""
     archive = NpzArchive(data, name)
     values = archive.array("image")
     mask = archive.array("mask") if "mask" in archive.keys else None
@@ -99,7 +99,7 @@ def _single(
 
 
 def _geometry(archive: NpzArchive, shape: tuple[int, int]) -> Geometry | None:
-    """Geometry [m, deg] of an NPZ that `sonarjax render` wrote, None where it has none."""
+    """Geometry [m, deg] of an NPZ that `sonarjax render` wrote; None if it has none."""
     if not {"azimuth_deg", "range_edges_m"} <= set(archive.keys):
         return None
     azimuth = _ascending(archive, "azimuth_deg", shape[1])

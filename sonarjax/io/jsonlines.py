@@ -1,4 +1,4 @@
-"""JSON Lines out: one object a line, appended and flushed, so that a killed batch keeps what it had."""
+"""JSON Lines: one object a line, appended and flushed, so that a killed batch keeps what it wrote."""
 
 from __future__ import annotations
 
@@ -17,13 +17,12 @@ from sonarjax.io.files import reason
 
 
 class JsonLines:
-    """A JSON Lines file open for appending, a context manager.
-
-    A line that a killed run left unfinished is ended first, and a line that could not be written whole is taken back.
+    """A JSON Lines file open for appending; a context manager.
+    A line that a killed run left unfinished is ended first. A line that can be written only in part is removed again.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        """Open `path`. Raises SonarjaxError when it cannot be opened for writing."""
+        """Open `path`. Raises SonarjaxError if it cannot be opened for writing."""
         self.name = os.fspath(path)
         try:
             self._descriptor = os.open(self.name, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o666)
@@ -34,14 +33,14 @@ class JsonLines:
             self._append(b"\n")
 
     def write(self, record: Mapping[str, Any]) -> None:
-        """Append one object. NumPy values are written as numbers and lists, a float that is not finite as null.
-
-        Raises SonarjaxError when it cannot be written.
+        """Append one object. NumPy values are written as numbers and lists, non-finite floats as null.
+        Raises:
+            SonarjaxError: It cannot be written.
         """
         self._append(json.dumps(plain(record), allow_nan=False, ensure_ascii=False).encode("utf-8", "replace") + b"\n")
 
     def close(self) -> None:
-        """Close the file. Raises SonarjaxError when the system reports a late write error."""
+        """Close the file. Raises SonarjaxError if the system reports a late write error."""
         if not self._open:
             return
         self._open = False
@@ -59,7 +58,7 @@ class JsonLines:
         self.close()
 
     def _unfinished(self) -> bool:
-        with contextlib.suppress(OSError):  # a pipe has no end to look at
+        with contextlib.suppress(OSError):  # a pipe cannot be searched for its end
             end = os.lseek(self._descriptor, 0, os.SEEK_END)
             os.lseek(self._descriptor, max(0, end - 1), os.SEEK_SET)
             return end > 0 and os.read(self._descriptor, 1) != b"\n"
@@ -78,9 +77,9 @@ class JsonLines:
 
 
 def plain(value: Any) -> Any:
-    """`value` in JSON's own types: arrays as lists, NumPy scalars as numbers, non-finite floats as None.
-
-    Raises TypeError for what JSON cannot hold.
+    """Convert `value` to JSON types: arrays to lists, NumPy scalars to numbers, non-finite floats to None.
+    Raises:
+        TypeError: JSON cannot hold the value.
     """
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}

@@ -1,4 +1,4 @@
-"""One entrance for every frame: `read_frames("file.aris:3")`, by the file's ending."""
+"""One way to read any frame: `read_frames("file.aris:3")` chooses the reader by the file's ending."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ Opener = Callable[[str, int | None], Iterator[Record]]
 
 
 def _picture(parse: Callable[[bytes, str, int | None], Iterator[Frame]]) -> Opener:
-    """A file of one frame: read whole, up to `PICTURE_LIMIT`."""
+    """A file of one frame, read completely, up to `PICTURE_LIMIT`."""
     return lambda path, index: parse(read_bytes(path, limit=PICTURE_LIMIT), path, index)
 
 
 def _mapped(records: Callable[[Content, str, int | None], Iterator[Record]]) -> Opener:
-    """A recording: mapped, since it may be larger than the memory."""
+    """A recording, mapped because it may be larger than the memory."""
     return lambda path, index: records(map_bytes(path), path, index)
 
 
@@ -36,34 +36,33 @@ PICTURES: dict[str, Opener] = {
     ".npy": _picture(parse_npy_frame),
     ".png": _picture(parse_png_frame),
 }
-"""File ending of one frame -> `open(path, index)`, its records."""
+"""File ending of a single frame -> `open(path, index)`, which gives its records."""
 RECORDINGS: dict[str, Opener] = {
     ".aris": _mapped(aris_records),
     ".ddf": _mapped(didson_records),
     ".raw": _mapped(oculus_records),
     ".oculus": _mapped(oculus_log_records),
 }
-"""File ending of recordings that may hold several frames -> `open(path, index)`, their records."""
+"""File ending of a recording that may hold several frames -> `open(path, index)`, which gives its records."""
 ENDINGS = (*PICTURES, *RECORDINGS, *BAGS)
-"""Endings of all files that frames are read from."""
+"""Endings of all files from which frames are read."""
 PICTURE_LIMIT = 4 * 2**30
 """Largest .npz, .npy or .png that is read, 4 GiB [bytes]: room for eight arrays of `PIXEL_LIMIT` doubles."""
 
 
 class Spec(NamedTuple):
-    """Which frames are meant: `path`, `path:N`, of a bag also `path:TOPIC` or `path:TOPIC:N`."""
+    """Which frames are meant: `path`, `path:N`, or for a bag also `path:TOPIC` or `path:TOPIC:N`."""
 
     path: str
-    """The file, or a bag's folder."""
+    """The file, or the folder of a bag."""
     number: int | None
-    """Number of the frame from 0; None for all."""
+    """Number of the frame, from 0; None for all."""
     topic: str | None = None
-    """Topic of a bag; None where it was not named."""
+    """Topic of a bag; None if it was not named."""
 
 
 def split_spec(spec: str | os.PathLike[str]) -> Spec:
-    """The parts of a frame's name; a file that really has such a name wins.
-
+    """Split the name of a frame into its parts. If a file has exactly this name, the name means that file.
     >>> split_spec("log.aris:3")
     Spec(path='log.aris', number=3, topic=None)
     """
@@ -79,9 +78,8 @@ def split_spec(spec: str | os.PathLike[str]) -> Spec:
 
 
 def naming(name: str, error: Exception) -> str:
-    """The error's message, opened by the frame's `name` where it does not name the file itself.
-
-    An exception that is not ours is named too: its message alone seldom says what happened.
+    """The error's message, preceded by the frame's `name` unless it already names the file.
+    The type of an exception that is not ours is added, because its message alone seldom says what happened.
     """
     message = " ".join(str(error).split())
     if not isinstance(error, SonarjaxError):
@@ -90,9 +88,9 @@ def naming(name: str, error: Exception) -> str:
 
 
 def iter_records(spec: str | os.PathLike[str]) -> Iterator[Record]:
-    """Yield the frames (range, beam) that `spec` means, one by one, and in place of a damaged one its error.
-
-    Raises SonarjaxError as `read_frames` does for what concerns the whole file.
+    """Yield the frames (range, beam) of `spec` one by one, with an error in place of each damaged frame.
+    Raises:
+        SonarjaxError: As `read_frames`, for problems with the file as such.
     """
     path, number, topic = split_spec(spec)
     if is_bag(path):
@@ -101,27 +99,27 @@ def iter_records(spec: str | os.PathLike[str]) -> Iterator[Record]:
     opener = PICTURES.get(ending) or RECORDINGS.get(ending)
     if opener is not None:
         return opener(path, number)
-    map_bytes(path)  # says what is wrong with a folder or a missing file, whatever its ending
+    map_bytes(path)  # reports a folder or a missing file, whatever its ending
     raise SonarjaxError(f"{path}: unknown ending {ending!r}: expected one of {', '.join(ENDINGS)}")
 
 
 def iter_frames(spec: str | os.PathLike[str]) -> Iterator[Frame]:
-    """Yield the frames (range, beam) of `path` one by one, or the one of `path:N` (N from 0).
-
-    Errors as in `read_frames`, raised when the frame concerned is reached.
+    """Yield the frames (range, beam) of `path` one by one, or frame N of `path:N` (N from 0).
+    Raises the same errors as `read_frames`, when it reaches the frame concerned.
     """
     yield from frames_of(iter_records(spec))
 
 
 def read_frames(spec: str | os.PathLike[str]) -> list[Frame]:
-    """All frames (range, beam) of `path`, or the one of `path:N` (N from 0); of a bag `path:TOPIC` or `path:TOPIC:N`.
-
-    Endings: .npz .npy .png .aris .ddf .raw .oculus .bag .mcap .db3; a ROS 2 bag is also given as its folder.
-
-    Raises SonarjaxError, one line that names the file, the field and what was expected, when the file is missing,
-    empty, truncated, a folder or of an unknown ending, when the frame does not exist, and when the image is not
-    (range, beam), empty, not a number, NaN, infinite or outside [0, 1], or its mask does not fit. An unfinished last
+    """Read all frames (range, beam) of `path`, frame N of `path:N` (N from 0), or for a bag `path:TOPIC` or
+    `path:TOPIC:N`.
+    Endings: .npz .npy .png .aris .ddf .raw .oculus .bag .mcap .db3; for a ROS 2 bag also its folder. An unfinished last
     frame of a recording is left out. Frames of a sonar file are float32, four times the size of the file's bytes:
     `iter_frames` holds one at a time.
+
+    Raises:
+        SonarjaxError: The file is missing, empty, truncated, a folder or of an unknown ending; the frame does not
+            exist; the image is not (range, beam), is empty, not numeric, NaN, infinite or outside [0, 1]; or its mask
+            does not fit. The message names the file, the field and what was expected.
     """
     return list(iter_frames(spec))

@@ -13,7 +13,7 @@ from sonarjax.io.frame import Frame, Geometry
 
 
 def frame_numbers(name: str, n_frames: int, index: int | None) -> range:
-    """All frames of a file, or the one asked for. Raises SonarjaxError when the file has no such frame."""
+    """All frame numbers of a file, or the one asked for. Raises SonarjaxError if the file has no such frame."""
     if index is None:
         return range(n_frames)
     if not 0 <= index < n_frames:
@@ -30,7 +30,7 @@ def named(
     meta: dict[str, Any],
     mask: Bool[np.ndarray, "range beam"] | None = None,
 ) -> Frame:
-    """A frame (range, beam) of file `name`; its source and stem carry the number where the file holds several."""
+    """Make a frame (range, beam) of file `name`. If the file holds several, its source and stem contain the number."""
     stem = os.path.splitext(os.path.basename(name))[0]
     several = n_frames > 1
     return Frame(

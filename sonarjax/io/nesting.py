@@ -1,4 +1,4 @@
-"""How deep a parsed document may be nested: what walks through it later may recurse without fear."""
+"""Limit how deeply a parsed document may be nested, so that code that walks it later may safely recurse."""
 
 from __future__ import annotations
 
@@ -7,13 +7,12 @@ from typing import Any
 from sonarjax.io.errors import SonarjaxError
 
 DEEPEST = 64
-"""Levels of tables and lists in a file that we read; `sonar.toml` has two."""
+"""Most levels of tables and lists in a file that is read; `sonar.toml` has two."""
 
 
 def check_nesting(document: Any, name: str) -> None:
-    """Raises SonarjaxError when tables and lists of a parsed TOML or JSON `document` are nested too deeply.
-
-    It goes level by level, because a recursion is what this is meant to spare.
+    """Raise a SonarjaxError if tables and lists of a parsed TOML or JSON `document` are nested too deeply.
+    The check goes level by level: a recursion could itself run out of stack.
     """
     level, depth = [document], 0
     while level := [inner for outer in level for inner in _inside(outer)]:
@@ -23,7 +22,7 @@ def check_nesting(document: Any, name: str) -> None:
 
 
 def _inside(value: Any) -> list[Any]:
-    """Tables and lists directly inside a value; nothing where it is neither."""
+    """Tables and lists directly inside a value; nothing if it is neither."""
     if isinstance(value, dict):
         value = list(value.values())
     return [item for item in value if isinstance(item, dict | list)] if isinstance(value, list) else []

@@ -1,7 +1,6 @@
-"""NumPy arrays out of NPY bytes and NPZ members, without pickle and without trusting their headers.
-
-An NPY header says how much to allocate, and a zip member may unpack to a thousand times its size. Here the header is
-read first, and nothing is unpacked that has more than `PIXEL_LIMIT` numbers or more bytes than its header announces.
+"""NumPy arrays from NPY bytes and NPZ members, without pickle and without trusting their headers.
+An NPY header says how much to allocate, and a zip member may unpack to a thousand times its size. So the header is read
+first, and nothing is unpacked that has more than `PIXEL_LIMIT` numbers, or more bytes than its header announces.
 """
 
 from __future__ import annotations
@@ -18,21 +17,21 @@ from numpy.lib import format
 from sonarjax.io.errors import SonarjaxError
 
 PIXEL_LIMIT = 64 * 2**20
-"""Largest number of pixels that a PNG, NPY or NPZ may ask for (64 Mi); a full Oculus ping has 0.2 Mi."""
+"""Most pixels that a PNG, NPY or NPZ may have (64 Mi); a full Oculus ping has 0.2 Mi."""
 HEADER_LIMIT = 4096
 """Longest NPY header that is read [bytes]; NumPy itself writes 128."""
 
 
 @dataclass(frozen=True)
 class NpyHeader:
-    """What an NPY header says, checked: a plain number type and a size within the limit."""
+    """What an NPY header says, after checks: a plain number type, and a size within the limit."""
 
     dtype: np.dtype
     """Type of the numbers: bool, integer or float."""
     shape: tuple[int, ...]
     """Shape of the array."""
     fortran: bool
-    """True where the first axis runs fastest."""
+    """True if the first axis runs fastest."""
     offset: int
     """Where the numbers start [bytes]."""
 
@@ -43,16 +42,16 @@ class NpyHeader:
 
 
 def npy_header(data: bytes, name: str, field: str = "array") -> NpyHeader:
-    """Read and check the header at the start of `data`, by NumPy's own reader.
-
-    Raises SonarjaxError for a wrong magic, a header that NumPy refuses or that is longer than `HEADER_LIMIT`, a type
-    other than bool, integer or float, and more than `PIXEL_LIMIT` numbers.
+    """Read and check the header at the start of `data`, with NumPy's own reader.
+    Raises:
+        SonarjaxError: The magic number is wrong; NumPy refuses the header, or it is longer than `HEADER_LIMIT`; the
+            type is not bool, integer or float; or there are more than `PIXEL_LIMIT` numbers.
     """
     file = io.BytesIO(data[: HEADER_LIMIT + 12])
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("error")  # NumPy warns of what it would guess
-            # Version 3 is for structured types alone, which are no picture.
+            warnings.simplefilter("error")  # NumPy warns if it has to guess
+            # Version 3 is only for structured types, which are not pictures.
             read = {(1, 0): format.read_array_header_1_0, (2, 0): format.read_array_header_2_0}[format.read_magic(file)]
             shape, fortran, dtype = read(file, max_header_size=HEADER_LIMIT)
     except Exception as error:  # a hostile header can raise nearly anything, MemoryError and RecursionError included
@@ -71,9 +70,9 @@ def _short_text(text: str) -> str:
 
 
 def parse_npy(data: bytes, name: str, field: str = "array") -> np.ndarray:
-    """The array (any shape) of NPY bytes, read-only and without a copy.
-
-    Raises SonarjaxError as `npy_header` does, and when the file ends before the last number.
+    """The array (any shape) in NPY bytes, read-only and without a copy.
+    Raises:
+        SonarjaxError: As `npy_header`, or the file ends before the last number.
     """
     header = npy_header(data, name, field)
     if header.offset + header.n_bytes > len(data):
@@ -84,10 +83,10 @@ def parse_npy(data: bytes, name: str, field: str = "array") -> np.ndarray:
 
 
 class NpzArchive:
-    """The arrays of an NPZ, each read only when asked for and within the limits of this module."""
+    """The arrays of an NPZ, each read only on request and within the limits of this module."""
 
     def __init__(self, data: bytes, name: str) -> None:
-        """Open the archive. Raises SonarjaxError when `data` is no zip file."""
+        """Open the archive. Raises SonarjaxError if `data` is not a zip file."""
         self.name = name
         try:
             self._zip = zipfile.ZipFile(io.BytesIO(data))
@@ -102,11 +101,11 @@ class NpzArchive:
         return list(self._members)
 
     def header(self, key: str) -> NpyHeader:
-        """Type and shape of one array. Raises SonarjaxError when it is absent, unreadable or over the limit."""
+        """Type and shape of one array. Raises SonarjaxError if it is absent, unreadable or over the limit."""
         return npy_header(self._read(key, 0)[0], self.name, key)
 
     def array(self, key: str) -> np.ndarray:
-        """One array. Raises SonarjaxError as `header` does, and when its numbers are not all there."""
+        """One array. Raises SonarjaxError as `header` does, and if some of its numbers are missing."""
         header = self.header(key)
         content, more = self._read(key, header.offset + header.n_bytes)
         if more:
@@ -114,7 +113,7 @@ class NpzArchive:
         return parse_npy(content, self.name, key)
 
     def _read(self, key: str, size: int) -> tuple[bytes, bool]:
-        """The first `size` bytes of a member (a header's worth for 0), and whether more follow."""
+        """The first `size` bytes of a member (for 0, enough for a header), and whether more follow."""
         if key not in self._members:
             found = ", ".join(self.keys[:8]) or "nothing"
             raise SonarjaxError(f"{self.name}: {key}: expected an array of this name, found {_short_text(repr(found))}")
@@ -125,7 +124,7 @@ class NpzArchive:
             with self._zip.open(info) as member:
                 if size == 0:
                     return member.read(HEADER_LIMIT + 12), False
-                # The byte past the end makes zipfile check the sum.
+                # Reading one byte past the end makes zipfile verify the checksum.
                 return member.read(size), bool(member.read(1))
         except Exception as error:
             raise SonarjaxError(f"{self.name}: {key}: cannot be unpacked: {_line(error)}") from error

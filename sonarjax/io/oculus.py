@@ -1,12 +1,11 @@
-"""Raw pings of a Blueprint Oculus (`.raw`, the network packets in a row): bytes in, frames out.
-
-Layout checked against real files of one and of three pings: a 16-byte message header, the fire message, the ping
+"""Raw pings of a Blueprint Oculus (`.raw`, its network packets one after another): bytes in, frames out.
+The layout was checked on real files of one and of three pings: a 16-byte message header, the fire message, the ping
 result, int16 bearings of 0.01 deg, then the image (range, beam) at `imageOffset`. Messages of another kind are skipped.
 The viewer's `.oculus` log is read by `oculus_log.py`.
 
 Oculus bearings grow to starboard (the maker's viewer draws them at x = sin(bearing), x to the right), so azimuth is
-their negative and the columns are reversed; `bearing_sign=1` reads them as growing to port. Ranges start at 0. Not
-verified on a file: 16-bit images (taken as little-endian), and packets of version 2, which are refused.
+their negative and the columns are reversed. `bearing_sign=1` reads them as growing to port. Ranges start at 0. Not
+checked on a file: 16-bit images (assumed little-endian), and packets of version 2, which are refused.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ BEARINGS_AT = RESULT_AT + struct.calcsize("<" + RESULT)
 
 @dataclass(frozen=True)
 class OculusPing:
-    """The fields of one ping that are used."""
+    """The fields of a ping that are used."""
 
     frequency: float
     """Frequency [Hz], as stored."""
@@ -51,29 +50,36 @@ class OculusPing:
     image_at: int
     """Where the image starts in the message [bytes]."""
     dtype: str
-    """NumPy's name of the type of a pixel."""
+    """NumPy's name for the type of a pixel."""
     ping_id: int
     """Number of the ping."""
     start_time: int
-    """When it was sent, in the device's own count."""
+    """When the ping was sent, in the device's own count."""
     range_setting: float
-    """Range asked for, as stored."""
+    """Range setting of the device, as stored."""
     gain_percent: float
-    """Gain asked for [%], as stored."""
+    """Gain setting of the device [%], as stored."""
 
 
 def parse_oculus(data: Content, name: str, index: int | None = None, bearing_sign: int = -1) -> Iterator[Frame]:
     """Yield the pings of a raw Oculus file, or only ping `index`; `image` = stored value / 255 (or / 65535).
+    An unfinished last ping is left out.
 
-    `data` is the file's content and `name` its path, for messages. Raises SonarjaxError for a wrong message, sizes,
-    bearings or range step, a file without a complete ping, or an index out of range. An unfinished last ping is left
-    out.
+    Args:
+        data: Content of the file.
+        name: Its path, for messages.
+        index: Number of a ping, from 0; None for all.
+        bearing_sign: -1 if bearings grow to starboard, 1 if to port.
+
+    Raises:
+        SonarjaxError: A message, its sizes, bearings or range step are wrong, there is no complete ping, or the index
+            is out of range.
     """
     return frames_of(oculus_records(data, name, index, bearing_sign))
 
 
 def oculus_records(data: Content, name: str, index: int | None = None, bearing_sign: int = -1) -> Iterator[Record]:
-    """As `parse_oculus`, but what cannot be read is yielded as its error and costs no other ping."""
+    """As `parse_oculus`, but a part that cannot be read is yielded as its error; the other pings are not affected."""
     starts = oculus_starts(data, name)
 
     def read(number: int) -> Frame:
@@ -86,16 +92,16 @@ def oculus_records(data: Content, name: str, index: int | None = None, bearing_s
 
 
 def oculus_starts(data: Content, name: str) -> list[int | SonarjaxError]:
-    """Byte offsets of the complete pings; a stretch that is no message stands there as its error.
-
-    Raises SonarjaxError for a file that begins with something else, or when there is no ping in it.
+    """Positions [bytes] of the complete pings; a part of the file that is not a message is listed as its error.
+    Raises:
+        SonarjaxError: The file begins with something else, or holds no ping.
     """
     starts: list[int | SonarjaxError] = []
     position = 0
     while position < len(data):
         header = Header(data, name, position, f"message at byte {position}")
         if starts and position + FIRE_AT > len(data):
-            break  # cut off while recording
+            break  # the recording was cut off here
         magic, _, _, kind, _, payload, _ = header.unpack(MESSAGE, 0, "message header")
         complete = position + FIRE_AT + payload <= len(data)
         if magic != MAGIC:
@@ -117,7 +123,7 @@ def oculus_starts(data: Content, name: str) -> list[int | SonarjaxError]:
 
 
 def _next_message(data: Content, start: int) -> int:
-    """Where a complete ping starts, at `start` [bytes] or after it; the end of the file if there is none."""
+    """Position [bytes] of the next complete ping at or after `start`; the end of the file if there is none."""
     position = start
     while (position := data.find(struct.pack("<H", MAGIC), position)) >= 0:
         if position + FIRE_AT <= len(data):
@@ -129,9 +135,9 @@ def _next_message(data: Content, start: int) -> int:
 
 
 def read_ping(header: Header, name: str, number: int, count: int, bearing_sign: int = -1) -> Frame:
-    """The ping that `header` heads, number `number` of the `count` pings of file `name`.
-
-    Raises SonarjaxError as `parse_oculus` does.
+    """Read the ping that starts with `header`, number `number` of the `count` pings of file `name`.
+    Raises:
+        SonarjaxError: As `parse_oculus`.
     """
     ping = _ping(header)
     azimuth, image = _columns(header, ping, bearing_sign)
@@ -198,7 +204,7 @@ def _geometry(ping: OculusPing, azimuth: Float64[np.ndarray, "beam"]) -> Geometr
 
 
 def _meta(ping: OculusPing) -> dict[str, Any]:
-    # Temperature and pressure are garbage in real files: left out.
+    # Temperature and pressure are left out, because they are garbage in real files.
     return {
         "format": "Oculus raw ping",
         "stored_scale": f"u{8 * np.dtype(ping.dtype).itemsize}, about the square root of amplitude",

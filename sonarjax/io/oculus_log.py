@@ -1,9 +1,8 @@
-"""Logs of Blueprint's Oculus viewer (`.oculus`): pings between a log's own headers, as the raw packets they were.
-
-Layout from the maker's published viewer source, which writes its C structs as they lie in memory (8-byte alignment),
-and from published readers that agree with it; not checked on a file. A file header names its own size, then items
-follow: a header that names its size, the kind of the payload, whether it is compressed, and the payload's size.
-Compression 1 is Qt's: the size before compression, four bytes with the most significant first, then a zlib stream.
+"""Logs of Blueprint's Oculus viewer (`.oculus`): raw ping packets, each behind a header of the log.
+The layout is taken from the maker's published viewer source, which writes its C structs as they lie in memory (8-byte
+alignment), and from published readers that agree with it. It was not checked on a file. A file header gives its own
+size, then items follow. Each has a header with its size, the kind of the payload, whether it is compressed, and the
+payload's size. Compression 1 is Qt's: the uncompressed size in four bytes, most significant first, then a zlib stream.
 """
 
 from __future__ import annotations
@@ -22,10 +21,10 @@ from sonarjax.io.recording import Record, each_record, frames_of
 FILE_MAGIC, ITEM_MAGIC = 0x11223344, 0xAABBCCDD
 FILE_HEADER, ITEM_HEADER = "II16sHH4xqd", "IIHH4xdH2xII4x"
 SONAR_ITEM = 10
-"""Kind of an item whose payload is a packet of the sonar."""
+"""Kind of an item whose payload is a packet from the sonar."""
 SIMPLE_PING = 0x23
 PACKET_LIMIT = 2**28
-"""Largest packet that is unpacked, 256 MiB [bytes]: a hostile stream must not fill the memory."""
+"""Largest packet that is unpacked, 256 MiB [bytes], so that a hostile stream cannot fill the memory."""
 
 
 @dataclass(frozen=True)
@@ -44,15 +43,20 @@ class LogItem:
 
 def parse_oculus_log(data: Content, name: str, index: int | None = None) -> Iterator[Frame]:
     """Yield the pings of an Oculus viewer's log, or only ping `index`; `image` as in `parse_oculus`.
+    Args:
+        data: Content of the file.
+        name: Its path, for messages.
+        index: Number of a ping, from 0; None for all.
 
-    `data` is the file's content and `name` its path, for messages. Raises SonarjaxError for a file of another kind, an
-    encrypted one, one without a complete ping, a ping that cannot be read, or an index out of range.
+    Raises:
+        SonarjaxError: The file is of another kind, encrypted or without a complete ping, a ping cannot be read, or the
+            index is out of range.
     """
     return frames_of(oculus_log_records(data, name, index))
 
 
 def oculus_log_records(data: Content, name: str, index: int | None = None) -> Iterator[Record]:
-    """As `parse_oculus_log`, but a ping that cannot be read is yielded as its error and costs no other."""
+    """As `parse_oculus_log`, but a ping that cannot be read is yielded as its error; the others are not affected."""
     pings = _pings(data, name)
 
     def read(number: int) -> Frame:
@@ -63,7 +67,7 @@ def oculus_log_records(data: Content, name: str, index: int | None = None) -> It
 
 
 def _pings(data: Content, name: str) -> list[LogItem]:
-    """The complete items that hold a ping; one that is still being written at the log's end is left out."""
+    """The complete items that hold a ping. One that is still being written at the end of the log is left out."""
     file = Header(data, name)
     magic, size, _, _, encryption, _, _ = file.unpack(FILE_HEADER, 0, "file header")
     if magic != FILE_MAGIC:
@@ -75,7 +79,7 @@ def _pings(data: Content, name: str) -> list[LogItem]:
         item = Header(data, name, position, f"item at byte {position}")
         magic, size, kind, _, _, compression, original, stored = item.unpack(ITEM_HEADER, 0, "item header")
         if magic != ITEM_MAGIC or size < least:
-            position = _next_item(data, position + 1)  # what is damaged is lost, not what follows it
+            position = _next_item(data, position + 1)  # only the damaged item is lost, not what follows
             continue
         found = LogItem(position + size, stored, original, compression == 1)
         position += size + stored
@@ -87,15 +91,15 @@ def _pings(data: Content, name: str) -> list[LogItem]:
 
 
 def _next_item(data: Content, start: int) -> int:
-    """Where the next item's magic number is, at `start` [bytes] or after it; the end of the log if there is none."""
+    """Position [bytes] of the next item's magic number at or after `start`; the end of the log if there is none."""
     found = data.find(struct.pack("<I", ITEM_MAGIC), start)
     return len(data) if found < 0 else found
 
 
 def _is_ping(data: Content, item: LogItem) -> bool:
-    """Whether the packet is a ping result, not the sonar's status or one of its other messages."""
+    """True if the packet is a ping result, not the sonar's status or another of its messages."""
     if item.compressed:
-        return True  # the viewer compresses nothing but pings, and unpacking here would take as long as reading
+        return True  # the viewer compresses only pings, and unpacking here would take as long as reading
     if item.payload_size < FIRE_AT:
         return False
     return bool(struct.unpack_from("<HHHH", data, item.payload_at)[3] == SIMPLE_PING)

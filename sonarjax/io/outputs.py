@@ -1,4 +1,4 @@
-"""What a command will write, held against what it reads: an output never takes the place of an input or of another."""
+"""Compare what a command will write with what it reads, so that no output replaces an input or another output."""
 
 from __future__ import annotations
 
@@ -13,10 +13,12 @@ from sonarjax.io.ros import is_bag
 
 
 def check_outputs(outputs: Mapping[str, str | None], inputs: Iterable[str]) -> None:
-    """Raises SonarjaxError when an output would replace an input, or another output; call it before writing.
-
-    `outputs` maps the option to its path (None where it was not given), `inputs` are paths or frames as `path:N`.
+    """Raise a SonarjaxError if an output would replace an input or another output. Call it before writing.
     Links are followed. A device such as /dev/null may be given twice.
+
+    Args:
+        outputs: Path of each option; None where it was not given.
+        inputs: Paths, or frames as `path:N`.
     """
     given = [(option, path) for option, path in outputs.items() if path is not None]
     sources = [split_spec(spec).path for spec in inputs]
@@ -30,7 +32,7 @@ def check_outputs(outputs: Mapping[str, str | None], inputs: Iterable[str]) -> N
 
 
 def make_folder(path: str) -> None:
-    """Make a folder for output and its parents. Raises SonarjaxError when that cannot be."""
+    """Make a folder for output, with its parents. Raises SonarjaxError if that fails."""
     try:
         os.makedirs(path, exist_ok=True)
     except (OSError, ValueError) as error:
@@ -38,9 +40,9 @@ def make_folder(path: str) -> None:
 
 
 def check_label_files(folder: str, specs: Sequence[str]) -> None:
-    """Raises SonarjaxError when `labels_<stem>.npz` in `folder` would replace an input, or serve two inputs.
-
-    `specs` are frames as `path` or `path:N`. How many frames a recording holds is not known yet: any number counts.
+    """Raise a SonarjaxError if a `labels_<stem>.npz` in `folder` would replace an input or belong to two inputs.
+    `specs` are frames as `path` or `path:N`. It is not known yet how many frames a recording holds, so any number is
+    assumed.
     """
     paths = list(dict.fromkeys(split_spec(spec).path for spec in specs))
     stems = {_stem(path): path for path in paths}
@@ -58,7 +60,7 @@ def check_label_files(folder: str, specs: Sequence[str]) -> None:
 
 
 def _check_stems(paths: Sequence[str]) -> None:
-    """No two files of one frame each share a stem. Raises SonarjaxError."""
+    """Raise a SonarjaxError if two files of one frame each have the same stem."""
     taken: dict[str, str] = {}
     for path in paths:
         other = taken.setdefault(_stem(path), path)
@@ -75,7 +77,7 @@ def _is_recording(path: str) -> bool:
 
 
 def _identity(path: str) -> tuple[int, int] | None:
-    """Device and number of a file, links followed; None where there is none."""
+    """Device and number of a file, links followed; None if there is no such file."""
     try:
         status = os.stat(path)
     except (OSError, ValueError):
@@ -84,7 +86,7 @@ def _identity(path: str) -> tuple[int, int] | None:
 
 
 def _label_names(folder: str) -> list[str]:
-    """Names in `folder` that could be label files; none where it is missing, whoever makes it says what is wrong."""
+    """Names in `folder` that could be label files. None if the folder is missing: whoever makes it reports problems."""
     try:
         return [name for name in os.listdir(folder) if name.startswith("labels_") and name.endswith(".npz")]
     except (OSError, ValueError):
@@ -92,10 +94,10 @@ def _label_names(folder: str) -> list[str]:
 
 
 def same_file(one: str, other: str) -> bool:
-    """True when both paths name one regular file, or will do when it is written; links are followed."""
+    """True if both paths name one regular file, or will once it is written; links are followed."""
     try:
         if os.path.exists(one) and os.path.exists(other):
             return os.path.isfile(one) and os.path.samefile(one, other)
         return os.path.realpath(one) == os.path.realpath(other)
-    except (OSError, ValueError):  # a path that cannot be: whoever opens it will say so
+    except (OSError, ValueError):  # an impossible path: whoever opens it will report it
         return False

@@ -1,4 +1,4 @@
-"""Grey PNG bytes to an array; the header is checked against the pixel limit before a decoder sees the file."""
+"""Grey PNG bytes to an array. The header is checked against the pixel limit before a decoder sees the file."""
 
 from __future__ import annotations
 
@@ -14,15 +14,16 @@ from sonarjax.io.npy import PIXEL_LIMIT
 
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
-"""PNG colour type -> samples per pixel."""
+"""PNG colour type -> samples for each pixel."""
 DEFLATE_RATIO = 1032
-"""Deflate cannot pack tighter than this: a larger picture than the file could hold is a truncated or hostile one."""
+"""Deflate cannot compress more than this. A picture larger than the file could hold is truncated or hostile."""
 
 
 def png_size(data: bytes, name: str) -> tuple[int, int]:
     """Height and width of a PNG [pixels], from its first chunk.
-
-    Raises SonarjaxError for a wrong magic or header, more pixels than `PIXEL_LIMIT`, or more than the file can hold.
+    Raises:
+        SonarjaxError: The magic number or header is wrong, or there are more pixels than `PIXEL_LIMIT` or than the file
+            can hold.
     """
     if len(data) < 33 or data[:8] != PNG_MAGIC or data[12:16] != b"IHDR":
         raise SonarjaxError(f"{name}: expected a PNG file with its header")
@@ -39,7 +40,7 @@ def png_size(data: bytes, name: str) -> tuple[int, int]:
 
 
 def _check_complete(data: bytes, name: str) -> None:
-    """Follow the chunks to the end marker: a decoder forgives a file that stops after its last pixel."""
+    """Follow the chunks to the end marker, because a decoder accepts a file that stops after its last pixel."""
     at = len(PNG_MAGIC)
     while at + 12 <= len(data):
         length, kind = struct.unpack_from(">I4s", data, at)
@@ -50,19 +51,20 @@ def _check_complete(data: bytes, name: str) -> None:
 
 
 def parse_png(data: bytes, name: str) -> UInt[np.ndarray, "range beam"]:
-    """Grey values of a PNG as uint8 or uint16, shape (range, beam) as its (row, column).
+    """Grey values of a PNG as uint8 or uint16; its (row, column) are (range, beam).
+    A colour picture is accepted if it is grey (equal channels) and opaque.
 
-    A colour picture is accepted when it is grey (equal channels) and opaque. Raises SonarjaxError as `png_size` does,
-    for a picture that is neither, and for anything that the decoder refuses.
+    Raises:
+        SonarjaxError: `png_size` or the decoder refuses the file, or the picture is not grey and opaque.
     """
     height, width = png_size(data, name)
     _check_complete(data, name)
     try:
         with Image.open(io.BytesIO(data), formats=["PNG"]) as picture:
-            if picture.size != (width, height):  # a second header would get round the limit
+            if picture.size != (width, height):  # a second header would bypass the limit
                 raise ValueError("two headers")
             values = _decode(picture)
-    except Exception as error:  # a decoder fed with corrupt chunks raises nearly anything
+    except Exception as error:  # on corrupt chunks a decoder may raise nearly anything
         text = " ".join(str(error).split())[:120] or type(error).__name__
         raise SonarjaxError(f"{name}: cannot be decoded as PNG: {text}") from error
     if values.ndim == 3:
@@ -74,9 +76,9 @@ def parse_png(data: bytes, name: str) -> UInt[np.ndarray, "range beam"]:
 
 
 def _decode(picture: Image.Image) -> np.ndarray:
-    """uint8 or uint16 (row, column) for grey pictures, else uint8 (row, column, 4)."""
+    """uint8 or uint16 (row, column) for grey pictures, otherwise uint8 (row, column, 4)."""
     if picture.mode in ("1", "L"):
         return np.asarray(picture.convert("L"))
-    if picture.mode.startswith("I"):  # 16-bit grey, handed over in a wider type by some decoders
+    if picture.mode.startswith("I"):  # 16-bit grey, which some decoders return in a wider type
         return np.asarray(picture).astype(np.uint16)
     return np.asarray(picture.convert("RGBA"))

@@ -1,4 +1,4 @@
-"""Records of a recording one by one: a frame, or the error of a record that cannot be read, which costs that record."""
+"""Records of a recording, one by one: a frame, or the error of a damaged record, which affects no other record."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from sonarjax.io.frame import Frame
 from sonarjax.io.naming import frame_numbers
 
 Record = Frame | SonarjaxError
-"""A frame, or why the record cannot be one."""
+"""A frame, or the reason why the record cannot be read as one."""
 
 
 def each_record(name: str, count: int, index: int | None, read: Callable[[int], Frame]) -> Iterator[Record]:
-    """Read the `count` frames of a recording one after another, or only `index`.
-
-    Raises SonarjaxError when the recording has no such frame.
+    """Read the `count` frames of a recording one after another, or only frame `index`.
+    Raises:
+        SonarjaxError: The recording has no such frame.
     """
     for number in frame_numbers(name, count, index):
         try:
@@ -25,7 +25,7 @@ def each_record(name: str, count: int, index: int | None, read: Callable[[int], 
 
 
 def frames_of(records: Iterator[Record]) -> Iterator[Frame]:
-    """The frames of `records`; the first record that cannot be read raises its SonarjaxError."""
+    """The frames of `records`. The first record that cannot be read raises its SonarjaxError."""
     for record in records:
         if isinstance(record, SonarjaxError):
             raise record

@@ -1,7 +1,6 @@
 """Bags of ROS 1 (`.bag`) and ROS 2 (`.mcap`, `.db3`, a bag's folder), read and written without ROS by `rosbags`.
-
-Frames come from topics with `marine_acoustic_msgs/ProjectedSonarImage`. A message is unpacked when it is reached, so a
-long log takes no more memory than a short one.
+Frames come from topics with `marine_acoustic_msgs/ProjectedSonarImage`. A message is unpacked only when it is reached,
+so a long log takes no more memory than a short one.
 """
 
 from __future__ import annotations
@@ -22,31 +21,34 @@ from sonarjax.io.recording import Record
 from sonarjax.io.ros_messages import DEFINITIONS, MESSAGE, PACKAGE, frame_fields, is_sonar_image, message_frame
 
 BAGS = (".bag", ".mcap", ".db3")
-"""Endings of bags that are one file."""
+"""Endings of bags that are a single file."""
 TOPIC = "/sonar_image"
-"""Topic under which frames are written."""
+"""Topic to which frames are written."""
 STEP_NS = 100_000_000
-"""Time between written frames that do not say when they were taken, a tenth of a second [ns]."""
+"""Time between written frames without a time of their own, a tenth of a second [ns]."""
 
 
 def is_bag(path: str) -> bool:
-    """Whether a path is a bag by its ending, or a folder with a ROS 2 bag's metadata."""
+    """True if a path has the ending of a bag, or is a folder with the metadata of a ROS 2 bag."""
     return os.path.splitext(path)[1].lower() in BAGS or os.path.isfile(os.path.join(path, "metadata.yaml"))
 
 
 def bag_topics(path: str) -> dict[str, int]:
-    """Topics of a bag with sonar images, and how many messages each has. Raises SonarjaxError as `bag_records` does."""
+    """Topics of a bag with sonar images, and the number of messages in each. Raises SonarjaxError as
+    `bag_records` does.
+    """
     with _opened(path) as reader:
         return _counts(reader)
 
 
 def bag_records(path: str, topic: str | None = None, index: int | None = None) -> Iterator[Record]:
-    """Yield the sonar images of a bag in order of time, or only image `index`; one that cannot be read as its error.
+    """Yield the sonar images of a bag in order of time, or only image `index`; an unreadable image as its error.
+    Without `topic`, the bag must have exactly one topic of sonar images. If the bag is damaged inside, one last error
+    is yielded, and everything after the damage is lost.
 
-    Without `topic` the bag must have one topic of sonar images only.
-
-    Raises SonarjaxError when the file is missing or no bag, `rosbags` is not installed, or the topic or image does not
-    exist. Where the bag itself is damaged inside, what follows the damage is lost with one last error.
+    Raises:
+        SonarjaxError: The file is missing or not a bag, `rosbags` is not installed, or the topic or image does not
+            exist.
     """
     with _opened(path) as reader:
         counts = _counts(reader)
@@ -70,10 +72,16 @@ def bag_records(path: str, topic: str | None = None, index: int | None = None) -
 
 
 def write_bag(path: str | os.PathLike[str], frames: Iterable[Frame], topic: str = TOPIC) -> int:
-    """Write frames (range, beam) as sonar images: ROS 1 in a `.bag`, ROS 2 in a `.mcap`, or else in a bag's new folder.
+    """Write frames (range, beam) as sonar images: ROS 1 in a `.bag`, ROS 2 in a `.mcap`, else ROS 2 in a bag's new
+    folder.
+    Values are rounded to 16 bits.
 
-    Values are rounded to 16 bits. Returns the number of frames. Raises SonarjaxError when the folder exists, the path
-    cannot be written, or a frame's geometry is not known; then nothing is left behind and what was there is kept.
+    Returns:
+        The number of frames.
+
+    Raises:
+        SonarjaxError: The folder exists, the path cannot be written, or a frame's geometry is not known. Then nothing
+            is left behind, and what was there before is kept.
     """
     target = Path(path)
     ending = target.suffix.lower()
@@ -106,14 +114,14 @@ def _write(path: Path, frames: Iterable[Frame], topic: str, ros1: bool) -> int:
 
 @contextmanager
 def _opened(path: str) -> Iterator[Any]:
-    """rosbags' reader of a bag, whose many ways of failing become one error that names the file."""
+    """rosbags' reader of a bag; its many kinds of failure become one error that names the file."""
     if not os.path.exists(path):
         raise SonarjaxError(f"{path}: no such file")
     rosbags = _rosbags()
     try:
         reader = rosbags.highlevel.AnyReader([Path(path)], default_typestore=_typestore(False))
         reader.open()
-    except Exception as error:  # of a damaged file rosbags raises whatever its parts do
+    except Exception as error:  # on a damaged file rosbags raises whatever its parts raise
         raise SonarjaxError(f"{path}: cannot be read as a bag: {reason(error)}") from error
     try:
         yield reader
@@ -129,7 +137,7 @@ def _record(reader: Any, path: str, connection: Any, raw: Any, number: int, coun
         frame = message_frame(message, source, stem, number)
     except SonarjaxError as error:
         return error
-    except Exception as error:  # of a damaged message rosbags raises whatever its parts do
+    except Exception as error:  # on a damaged message rosbags raises whatever its parts raise
         return SonarjaxError(f"{source}: expected a {MESSAGE}: {reason(error)}")
     frame.meta["n_frames"] = count
     return frame
@@ -154,7 +162,7 @@ def _chosen(path: str, counts: dict[str, int], topic: str | None) -> str:
 
 
 def _rosbags() -> SimpleNamespace:
-    """The parts of rosbags, which is an extra. Raises SonarjaxError when it is not installed."""
+    """The parts of rosbags, an optional dependency. Raises SonarjaxError if it is not installed."""
     try:
         from rosbags import highlevel, rosbag1, rosbag2, typesys
     except ImportError as error:
@@ -163,7 +171,7 @@ def _rosbags() -> SimpleNamespace:
 
 
 def _typestore(ros1: bool) -> Any:
-    """rosbags' types with the sonar's messages, under both of their names."""
+    """rosbags' types, with the sonar's messages added under both of their names."""
     typesys = _rosbags().typesys
     store = typesys.get_typestore(typesys.Stores.ROS1_NOETIC if ros1 else typesys.Stores.ROS2_HUMBLE)
     for package in (PACKAGE, PACKAGE.removeprefix("marine_")):

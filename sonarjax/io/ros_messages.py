@@ -1,9 +1,9 @@
-"""`marine_acoustic_msgs/ProjectedSonarImage`: a ROS message as a frame, and a frame as one. No bag is opened here.
-
-Conventions, from the message's own comments: Z points along the fan's middle, X up, so Y points to starboard; beams lie
-in the Y-Z plane; `ranges` are the centres of the range bins. Drivers and viewers store the pixels range by range, beam
-after beam, and so does this, although the message's comment calls that order beam-major. Not checked on a bag of a
-real sonar.
+"""`marine_acoustic_msgs/ProjectedSonarImage`: a ROS message to a frame, and a frame to a message. No bag is opened
+here.
+Conventions from the message's own comments: Z points along the middle of the fan and X up, so Y points to starboard;
+beams lie in the Y-Z plane; `ranges` are the centres of the range bins. The message's comment calls the order of pixels
+beam-major, but drivers and viewers store them range by range, beam after beam, and so does this file. It was not
+checked on a bag from a real sonar.
 """
 
 from __future__ import annotations
@@ -35,31 +35,37 @@ DEFINITIONS = {
     MESSAGE: "std_msgs/Header header\nPingInfo ping_info\ngeometry_msgs/Vector3[] beam_directions\n"
     "float32[] ranges\nSonarImageData image\n",
 }
-"""Fields of the messages, for bags that do not carry their definitions, and for those that are written."""
+"""Fields of the messages, for bags that do not carry their definitions and for bags that are written."""
 DTYPES = ("u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f4", "f8")
-"""NumPy's name of each `dtype` number."""
+"""NumPy's name for each `dtype` number."""
 OUT_OF_PLANE = math.radians(0.5)
-"""Largest elevation of a beam that still counts as lying in the fan's plane [rad]."""
+"""Largest elevation at which a beam still counts as lying in the plane of the fan [rad]."""
 UNEVEN = 0.02
-"""Largest deviation of a range bin's centre from even spacing [bins]; float32 ranges round by less."""
+"""Largest deviation of a range bin's centre from even spacing [bins]; float32 rounding is smaller."""
 WRITTEN = 65535
-"""Frames are written as 16-bit numbers: 0 to 1 in this many steps."""
+"""Frames are written as 16-bit numbers, with this value for 1."""
 
 
 def is_sonar_image(msgtype: str) -> bool:
-    """Whether a message type is a projected sonar image, of this package or of its older name `acoustic_msgs`."""
+    """True if a message type is a projected sonar image, of this package or of its older name `acoustic_msgs`."""
     package, *_, message = msgtype.split("/")
     return message == MESSAGE and package.removeprefix("marine_") == "acoustic_msgs"
 
 
 def message_frame(message: Any, name: str, stem: str, number: int) -> Frame:
-    """The frame (range, beam) of a message; `name` is its source for errors, `stem` that for output files.
+    """Turn a message into a frame (range, beam).
+    Unsigned integers are divided by their largest value. Signed integers must not be negative. Floating point must lie
+    in [0, 1]. Beams are put in ascending azimuth (to port).
 
-    Unsigned integers are divided by their largest value; signed ones must not be negative; floating point must lie in
-    [0, 1]. Beams are put in ascending azimuth (to port).
+    Args:
+        message: The message.
+        name: Its source, for errors.
+        stem: Stem for output files.
+        number: Number of the frame.
 
-    Raises SonarjaxError for sizes that do not agree, beams out of the fan's plane, uneven ranges, a type that does not
-    exist or values out of range.
+    Raises:
+        SonarjaxError: Sizes do not agree, beams leave the plane of the fan, ranges are uneven, the type does not exist,
+            or values are out of range.
     """
     azimuth = _azimuth(name, message.beam_directions)
     near, far = _window(name, np.asarray(message.ranges, np.float64))
@@ -78,7 +84,7 @@ def message_frame(message: Any, name: str, stem: str, number: int) -> Frame:
         ("sound_speed_m_s", info.sound_speed, 1000.0, 2000.0),
         ("frequency_hz", info.frequency, 1e4, 1e8),
     ):
-        if math.isfinite(value) and low <= value <= high:  # 0 where it is not known
+        if math.isfinite(value) and low <= value <= high:  # a message has 0 if it is not known
             geometry[key] = float(value)
     stamp = message.header.stamp
     meta = {
@@ -92,9 +98,9 @@ def message_frame(message: Any, name: str, stem: str, number: int) -> Frame:
 
 
 def frame_fields(frame: Frame, time_ns: int) -> SimpleNamespace:
-    """The fields of a message for a frame (range, beam): plain values, from which any message class can be filled.
-
-    Raises SonarjaxError when the frame's geometry is not known or a pixel was not measured: a message cannot say so.
+    """The fields of a message for a frame (range, beam), as plain values from which any message class can be filled.
+    Raises:
+        SonarjaxError: The frame's geometry is not known, or a pixel was not measured, which a message cannot express.
     """
     geometry = frame.geometry or {}
     for key in ("azimuth_deg", "range_min_m", "range_max_m"):
@@ -131,7 +137,7 @@ def _azimuth(name: str, directions: Any) -> np.ndarray:
 
 
 def _window(name: str, ranges: np.ndarray) -> tuple[float, float]:
-    """Near and far edge [m] of the range bins with these centres (range,)."""
+    """Near and far edge [m] of range bins with these centres (range,)."""
     if len(ranges) < 2 or not np.isfinite(ranges).all() or ranges[-1] <= ranges[0] or abs(ranges[-1]) > RANGE_LIMIT_M:
         raise SonarjaxError(f"{name}: ranges: expected two or more growing ranges, at most {RANGE_LIMIT_M:g} m")
     step = (ranges[-1] - ranges[0]) / (len(ranges) - 1)

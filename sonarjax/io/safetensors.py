@@ -1,4 +1,4 @@
-"""Arrays under names in a safetensors file, with what is said about them: no code in the file, its size is checked."""
+"""Named arrays in a safetensors file, with a description of them. The file holds no code, and its size is checked."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from sonarjax.io.files import read_bytes, reason
 from sonarjax.io.nesting import check_nesting
 
 ABOUT = "sonarjax"
-"""The one key of the metadata, a JSON object: several keys would be stored in an order that changes from run to run."""
+"""The only key of the metadata, a JSON object. Several keys would be stored in an order that varies between runs."""
 
 
 def write_safetensors(path: PathLike, arrays: Mapping[str, np.ndarray], about: Mapping[str, Any]) -> None:
-    """Write arrays (any shape) by name and `about` them (JSON's types); the same input gives the same bytes.
-
-    Raises SonarjaxError when the file cannot be written or `about` is no JSON.
+    """Write named arrays (any shape), and the description `about` of JSON types. The same input gives the same bytes.
+    Raises:
+        SonarjaxError: The file cannot be written, or `about` cannot be stored as JSON.
     """
     from safetensors import SafetensorError
     from safetensors.numpy import save
@@ -35,9 +35,9 @@ def write_safetensors(path: PathLike, arrays: Mapping[str, np.ndarray], about: M
 
 
 def read_safetensors(path: PathLike) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Arrays (any shape) by name, and what the file says about them (empty where another program wrote it).
-
-    Raises SonarjaxError when the file is missing, cut short or no safetensors file.
+    """Read the arrays (any shape) by name, and the description, which is empty if another program wrote the file.
+    Raises:
+        SonarjaxError: The file is missing, truncated or not a safetensors file.
     """
     from safetensors import SafetensorError
     from safetensors.numpy import load

@@ -1,4 +1,4 @@
-"""TOML files to dicts, with one clear line where they cannot be read. What the keys mean is for the caller."""
+"""TOML files to dicts, with one clear error line if they cannot be read. What the keys mean is up to the caller."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from sonarjax.io.files import read_bytes
 from sonarjax.io.nesting import check_nesting
 
 TOML_LIMIT = 16 * 2**20
-"""Largest TOML file that is read, 16 MiB [bytes]: 10,000 beam angles take 0.2 MiB."""
+"""Largest TOML file that is read, 16 MiB [bytes]; 10,000 beam angles take 0.2 MiB."""
 
 
 def parse_toml(data: bytes, name: str) -> dict[str, Any]:
-    """The dict of a TOML document.
-
-    Raises SonarjaxError when it is not UTF-8 or not TOML (with line and column), or nested too deeply.
+    """Parse a TOML document into a dict.
+    Raises:
+        SonarjaxError: It is not UTF-8, not TOML (the message gives line and column), or nested too deeply.
     """
     try:
         document = tomllib.loads(data.decode("utf-8"))
@@ -29,6 +29,9 @@ def parse_toml(data: bytes, name: str) -> dict[str, Any]:
 
 
 def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Read a TOML file. Raises SonarjaxError when it is missing, a folder, too large, or as `parse_toml` does."""
+    """Read a TOML file into a dict.
+    Raises:
+        SonarjaxError: The file is missing, a folder or too large, or `parse_toml` refuses it.
+    """
     name = os.fspath(path)
     return parse_toml(read_bytes(name, allow_empty=True, limit=TOML_LIMIT), name)

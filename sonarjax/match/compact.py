@@ -1,5 +1,4 @@
-"""Banks kept small, for catalogues: templates as bytes, their spectra made anew for each frame, few shapes to compile.
-
+"""Banks that take little memory, for catalogues: templates as bytes, spectra computed anew for each frame, few shapes.
 A bank of 36 templates takes a few hundred kilobytes instead of ten megabytes, and twice the time to match.
 """
 
@@ -17,18 +16,20 @@ from sonarjax.match.ncc import MatchPositions, best_position, per_template
 from sonarjax.match.spectra import correlate, frame_spectrum, over_chunks, pack, unit_templates
 
 ROWS, COLUMNS = 128, 32
-"""Templates are padded to multiples of so many range bins and beams: banks of one size share compiled code."""
+"""Templates are padded to multiples of this many range bins and beams, so that banks of one size share compiled
+code.
+"""
 
 
 class CompactBank(NamedTuple):
-    """Templates with 256 levels of grey: off by a 510th at most."""
+    """Templates with 256 grey levels; the rounding error is 1/510 at most."""
 
     levels: UInt8[np.ndarray, "yaw h w"]
-    """Grey of 0 to 1 as 0 to 255."""
+    """Grey values 0 to 1 stored as 0 to 255."""
 
     @classmethod
     def of(cls, templates: Float[np.ndarray, "yaw h w"]) -> CompactBank:
-        """Of templates (yaw, h, w) from 0 to 1."""
+        """Make a bank of templates (yaw, h, w) with values from 0 to 1."""
         return cls(np.round(255 * np.clip(templates, 0, 1)).astype(np.uint8))
 
     @property
@@ -47,11 +48,11 @@ def match_compact(image: Float[np.ndarray, "range beam"], bank: CompactBank) -> 
 
 
 def window_scale(centred: np.ndarray, window: tuple[int, int]) -> np.ndarray:
-    """1/√energy of the window at each corner (range, beam), 0 where it is near-constant or leaves the frame."""
+    """1/√energy of the window at each corner (range, beam); 0 if it is nearly constant or leaves the frame."""
     sums = [np.pad(np.cumsum(np.cumsum(v, 0), 1), ((1, 0), (1, 0))) for v in (centred, centred**2)]
     (h, w), scale = window, np.zeros_like(centred)
     total, squares = (s[h:, w:] - s[:-h, w:] - s[h:, :-w] + s[:-h, :-w] for s in sums)
-    energy = squares - total**2 / (h * w)  # float64 holds the cancellation
+    energy = squares - total**2 / (h * w)  # a difference of large numbers, hence float64
     enough = energy > NEAR_CONSTANT * sums[1][-1, -1]
     scale[: energy.shape[0], : energy.shape[1]] = np.where(enough, 1 / np.sqrt(np.where(enough, energy, 1)), 0)
     return scale.astype(np.float32)

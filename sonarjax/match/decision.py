@@ -1,6 +1,5 @@
 """Eq. 5: from the score curve over yaw to a decision, and to the hypotheses that a symmetric object leaves open.
-
-Takes scores (yaw,) and yaws (yaw,) [rad], returns frozen records. All of it runs under jit and vmap.
+Takes scores (yaw,) and yaws (yaw,) [rad], and returns frozen records. Everything runs under jit and vmap.
 """
 
 from __future__ import annotations
@@ -18,10 +17,10 @@ from sonarjax.records import record
 
 @record
 class Decision:
-    """Eq. 5: is it the target, and at which yaw bin."""
+    """Eq. 5: whether it is the target, and at which yaw bin."""
 
     identified: Bool[Array, "*batch"]
-    """True where the best score reaches the threshold."""
+    """True if the best score reaches the threshold."""
     score: Float[Array, "*batch"]
     """Best correlation over the bank, -1 to 1."""
     yaw_bin: Int[Array, "*batch"]
@@ -32,7 +31,7 @@ class Decision:
 
 @record
 class Peaks:
-    """Hypotheses of yaw, best first; entries beyond the last one are padding."""
+    """Hypotheses of yaw, best first; unused entries are padding."""
 
     yaw: Float[Array, "*batch peak"]
     """Yaw of the peak's bin [rad]; NaN in padding."""
@@ -41,13 +40,13 @@ class Peaks:
     yaw_bin: Int[Array, "*batch peak"]
     """Index of the bin; 0 in padding."""
     prominence: Float[Array, "*batch peak"]
-    """Height above the higher of the two saddles that lead to higher ground (correlation); 0 in padding."""
+    """Height above the higher of the two saddles that lead to higher scores (correlation); 0 in padding."""
     valid: Bool[Array, "*batch peak"]
-    """True where the entry is a peak."""
+    """True if the entry is a peak."""
 
 
 def decide(scores: Float[Array, " yaw"], yaws: Float[Array, " yaw"], threshold: Any) -> Decision:
-    """Eq. 5: the best of `scores` (yaw,) at its yaw [rad], identified if it is at least `threshold` (correlation)."""
+    """Eq. 5: the best of `scores` (yaw,) and its yaw, of `yaws` (yaw,) [rad]; identified if it reaches `threshold`."""
     scores, yaws = jnp.asarray(scores), jnp.asarray(yaws)
     best = jnp.argmax(scores)
     return Decision(scores[best] >= threshold, scores[best], best, yaws[best])
@@ -64,16 +63,21 @@ def peaks(
     min_separation: Any = 0.5,
 ) -> Peaks:
     """Local maxima of the score curve over the full circle, best first, at most `max_peaks`.
+    The best bin is always the first hypothesis.
 
-    `yaws` (yaw,) [rad] ascend around the circle: the last bin neighbours the first. The best bin is always the first
-    hypothesis. Others need the share `min_height` of its score, a `min_prominence` (correlation) over the saddle to
-    anything higher, and a `min_separation` [rad] from every better one (0.5 rad is three bins of the paper's 10°).
+    Args:
+        scores: Scores (yaw,).
+        yaws: Yaws (yaw,) [rad], ascending around the circle: the last bin neighbours the first.
+        max_peaks: Most hypotheses.
+        min_height: Least score of another hypothesis, as a share of the best.
+        min_prominence: Least height over the saddle to any higher score (correlation).
+        min_separation: Least distance from every better hypothesis [rad]; 0.5 rad is three bins of the paper's 10°.
     """
     scores, yaws = jnp.asarray(scores), jnp.asarray(yaws)
     rise = prominence(scores)
     best = jnp.max(scores)
     local = (scores >= jnp.roll(scores, 1)) & (scores >= jnp.roll(scores, -1))
-    # measured from below a negative best score too, where a share of it would lie above it
+    # With a negative best score, a share of it would lie above it: so subtract from the best score instead.
     high = scores >= best - (1 - min_height) * jnp.abs(best)
     standing = (local & high & (rise >= min_prominence)) | (jnp.arange(scores.size) == jnp.argmax(scores))
 
@@ -94,9 +98,8 @@ def peaks(
 
 
 def between_bins(scores: Float[np.ndarray, " yaw"], best: int) -> float:
-    """Where the parabola through bin `best` and its neighbours is highest, in bins from it: -0.5 to 0.5.
-
-    `scores` (yaw,) go around the full circle.
+    """Position of the maximum of the parabola through bin `best` and its neighbours, in bins from it: -0.5 to 0.5.
+    `scores` (yaw,) cover the full circle.
     """
     left, middle, right = (float(scores[(best + k) % len(scores)]) for k in (-1, 0, 1))
     bend = left - 2 * middle + right
@@ -105,7 +108,6 @@ def between_bins(scores: Float[np.ndarray, " yaw"], best: int) -> float:
 
 def prominence(scores: Float[Array, " yaw"]) -> Float[Array, " yaw"]:
     """Height (yaw,) of each bin above the higher of its two saddles, left and right, on the closed circle.
-
     A saddle is the lowest score on the way to the first higher bin; for the best bin it is the lowest score of all.
     """
     count = scores.shape[0]

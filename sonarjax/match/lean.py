@@ -1,6 +1,5 @@
-"""Which way an object leans: a bank over yaw, roll, pitch and lift at the distance at which the upright one matched.
-
-An upright template is enough to find the place: the correlation falls with lean, but not everywhere alike.
+"""Which way an object leans: match a bank over yaw, roll, pitch and height where the upright template matched.
+An upright template suffices to find the place: the correlation falls with lean, but not everywhere alike.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from sonarjax.render import TemplateBank, WindowSize, template_bank
 from sonarjax.scene import Mesh, Pose
 
 COLUMN_STEP, ROW_STEP = 32, 64
-"""The window of a leaning object is rounded up to so many beams and range bins."""
+"""The window of a leaning object is rounded up to multiples of this many beams and range bins."""
 
 
 @dataclass(frozen=True)
@@ -30,18 +29,18 @@ class LeanSearchConfig:
     """Which poses of a leaning or lifted object are tried."""
 
     yaw_bins: int = 24
-    """Yaws over the full circle."""
+    """Number of yaws over the full circle."""
     lean: float = math.radians(10.0)
-    """Roll and pitch are tried at 0 and at ± so much [rad], where they are free."""
+    """Roll and pitch, where they are free, are tried at 0 and at ± this angle [rad]."""
     lifts: tuple[float, ...] = (0.01, 0.04)
-    """Heights of the lowest point above the floor [m] that are tried, where z is free; else it is 0."""
+    """Heights of the lowest point above the floor [m] that are tried if z is free; otherwise z is 0."""
     candidates: int = 6
-    """Poses that are kept, at most."""
+    """Most poses that are kept."""
     apart: float = math.radians(25.0)
     """Least rotation between two of them [rad]."""
 
     def __post_init__(self) -> None:
-        """Raises SonarjaxError for counts below 1, no lift, or angles that are not positive."""
+        """Raise a SonarjaxError for counts below 1, no lift, or angles that are not positive."""
         if min(self.yaw_bins, self.candidates) < 1 or not self.lifts:
             raise SonarjaxError(f"LeanSearchConfig: expected counts of 1 or more and a lift, got {self}")
         if not (0 < self.lean < math.pi / 2 and 0 < self.apart < math.pi):
@@ -49,12 +48,12 @@ class LeanSearchConfig:
 
 
 class LeanMatch(NamedTuple):
-    """Poses that match best, best first."""
+    """The poses that match best, best first."""
 
     poses: Pose
-    """(candidate,) where and how the object may be."""
+    """Poses (candidate,) that the object may have."""
     scores: Float[np.ndarray, "candidate"]
-    """NCC (eq. 4) of each."""
+    """NCC (eq. 4) of each pose."""
 
 
 class _Bank(NamedTuple):
@@ -65,20 +64,20 @@ class _Bank(NamedTuple):
 
 
 class LeanSearch:
-    """The banks of leaning poses of one target, for one sonar: rendered when a frame first needs them."""
+    """The banks of leaning poses of one target, for one sonar; each is rendered when a frame first needs it."""
 
     def __init__(
         self, search: TargetSearch, free: Sequence[str], config: LeanSearchConfig = LeanSearchConfig()
     ) -> None:
-        """`search` finds the place; of z, roll and pitch those in `free` are tried."""
+        """Use `search` to find the place; of z, roll and pitch, try those in `free`."""
         self.search, self.config = search, config
         self.attitudes = _attitudes(search.mesh, free, config)
         self._banks: dict[tuple[int, bool], _Bank] = {}
 
     def find(self, image: np.ndarray, mask: np.ndarray | None = None) -> LeanMatch:
         """The poses that match `image` (range, beam) best; only pixels where `mask` is true count.
-
-        Raises SonarjaxError when no part of the target can be seen at any distance.
+        Raises:
+            SonarjaxError: No part of the target can be seen at any distance.
         """
         search, step = self.search, self.search.config.decimation
         place = search.place(search.find(np.asarray(image, np.float32), mask))
@@ -94,12 +93,12 @@ class LeanSearch:
             match = Match(entry.bank, scores, step * int(rows[k]) - top, int(columns[k]) - left)
             x, y = search.place(match)
             yaw, z, roll, pitch = self.attitudes[k]
-            # A bank's aspect is relative to the bearing it was rendered at.
+            # A bank's aspect is relative to the bearing at which it was rendered.
             poses.append((x, y, yaw + math.atan2(y, x), z, roll, pitch))
         return LeanMatch(Pose(*np.asarray(poses, np.float32).T), np.asarray(scores)[kept])
 
     def _bank(self, index: int, masked: bool) -> _Bank:
-        """The bank at distance number `index`, or at the next one at which the object is in view."""
+        """The bank at distance number `index`, or at the next distance at which the object is in view."""
         if (index, masked) not in self._banks:
             search, step = self.search, self.search.config.decimation
             yaws, z, roll, pitch = self.attitudes.T
@@ -113,12 +112,12 @@ class LeanSearch:
         return self._banks[index, masked]
 
     def _window(self) -> WindowSize:
-        """All ranges and beams, as the place is anywhere: only the object's beams cost anything."""
+        """All ranges and beams, because the place may be anywhere; only the object's beams cost anything."""
         sonar = self.search.sonar
         return WindowSize(sonar.shape, sonar.n_beams)
 
     def _distinct(self, scores: np.ndarray) -> list[int]:
-        """The templates with the best `scores` (template,), each turned by `apart` or more from those before it."""
+        """The templates with the best `scores` (template,), each rotated by `apart` or more from those before it."""
         turns = np.stack([_rotation(*attitude) for attitude in self.attitudes[:, [0, 2, 3]]])
         kept: list[int] = []
         for k in np.argsort(-scores):
@@ -137,12 +136,12 @@ def _attitudes(mesh: Mesh, free: Sequence[str], config: LeanSearchConfig) -> np.
     lifts = config.lifts if "z" in free else (0.0,)
     vertices, found = np.asarray(mesh.vertices, float), []
     for roll, pitch in itertools.product(rolls, pitches):
-        # With z free the lowest point is at each lift, as the object leans.
+        # If z is free, the lowest point of the leaning object is put at each of the lifts.
         lowest = (vertices @ _rotation(0.0, roll, pitch).T)[:, 2].min() if "z" in free else 0.0
         found += [(yaw, lift - lowest, roll, pitch) for lift in lifts for yaw in yaws]
     return np.asarray(found, np.float32)
 
 
 def _rotation(yaw: Any, roll: Any, pitch: Any) -> np.ndarray:
-    """Rotation (3, 3) as `Pose` has it."""
+    """Rotation matrix (3, 3) as in `Pose`."""
     return np.asarray(Pose(yaw=yaw, roll=roll, pitch=pitch).rotation(), float)

@@ -1,7 +1,6 @@
 """Eq. 4 over the measured pixels only: masked normalised cross-correlation (Padfield 2012).
-
-Mean and norm of window *and* template are taken over the pixels of the window that were measured, so that the
-unmeasured rest of a frame (NaN, black corner, blanked near range) neither helps nor hurts.
+Mean and norm of window *and* template are taken over the measured pixels of the window, so that unmeasured parts of a
+frame (NaN, black corners, a blanked near range) neither help nor hurt.
 """
 
 from __future__ import annotations
@@ -15,32 +14,32 @@ from sonarjax.match.spectra import correlate, frame_spectrum, inverse_root
 from sonarjax.match.windows import window_moments
 
 NEAR_CONSTANT = 1e-6
-"""A window whose energy is below this share of the frame's energy is constant: it scores 0.
-
-The transform's rounding weighs up to 5e-4 in the score of the faintest windows that still count; above 4e-5 of the
-frame's energy (one odd pixel in a window of a semantic map) it stays below 1e-4."""
+"""A window with less than this share of the frame's energy counts as constant and scores 0.
+Rounding in the transform changes the score of the faintest windows that still count by up to 5e-4. Above 4e-5 of the
+frame's energy (one odd pixel in a window of a semantic map) the error stays below 1e-4.
+"""
 LOST_TEMPLATE = 1e-4
 """A template that keeps less than this share of its energy over the measured pixels scores 0 there."""
 MIN_VALID = 0.3
-"""Share of a template's pixels that must be measured under it, else it scores 0."""
+"""Least share of a template's pixels that must be measured under it; otherwise it scores 0."""
 
 MIN_ECHO = 0.5
-"""Share of a template's highlight that must be measured where the whole template has to be there."""
+"""Least share of a template's highlight that must be measured, if the option `whole` is used."""
 
 
 class MaskedFrame(NamedTuple):
     """What masked matching needs of a frame, whatever the template."""
 
     signal: Complex[Array, "range beam"]
-    """Spectrum of the centred frame, 0 where it was not measured."""
+    """Spectrum of the centred frame, with 0 where it was not measured."""
     valid: Complex[Array, "range beam"]
     """Spectrum of the mask."""
     mean: Float[Array, "row col"]
     """Mean of the measured pixels of each window, relative to the frame's own mean."""
     pixels: Float[Array, "row col"]
-    """Measured pixels of each window, at least 1."""
+    """Number of measured pixels of each window, at least 1."""
     scale: Float[Array, "row col"]
-    """1/√energy of each window; 0 where it is near-constant or has too few measured pixels."""
+    """1/√energy of each window; 0 if it is nearly constant or has too few measured pixels."""
 
 
 def masked_frame(
@@ -59,7 +58,7 @@ def masked_frame(
 
 
 def masked_centre(image: Float[Array, "range beam"], mask: Bool[Array, "range beam"]) -> Float[Array, "range beam"]:
-    """`image` minus the mean of its measured pixels, 0 elsewhere; what stands there may be NaN."""
+    """`image` minus the mean of its measured pixels, and 0 elsewhere; unmeasured pixels may be NaN."""
     known = jnp.where(mask, image, 0.0)
     return jnp.where(mask, known - jnp.sum(known) / jnp.maximum(jnp.sum(mask), 1), 0.0)
 
@@ -71,11 +70,10 @@ def masked_maps(
     echoes: Complex[Array, "pair range beam"],
     whole: bool = False,
 ) -> Float[Array, "pair two row col"]:
-    """Masked eq. 4 at all window positions for pairs of unit templates (`planes`), their squares and `echoes`.
-
-    With `whole` a template's norm is taken over all of it: what lies over unmeasured pixels then counts as unmatched.
-    And a template scores 0 unless MIN_ECHO of its highlight was measured: its shadow alone is no match, for any dark
-    corner at the edge of the measured pixels would do.
+    """Masked eq. 4 at all window positions, for pairs of unit templates (`planes`), their squares and their `echoes`.
+    With `whole`, a template's norm is taken over all of it, so that the part over unmeasured pixels counts as
+    unmatched. A template then also scores 0 unless the share MIN_ECHO of its highlight was measured: its shadow alone
+    is no match, because it would fit any dark corner at the edge of the measured pixels.
     """
     shape = (frame.mean.shape[0], frame.mean.shape[1])
     total = correlate(frame.valid, planes, shape)  # Σ T over measured pixels
@@ -88,10 +86,10 @@ def masked_maps(
 
 
 class WeightedFrame(NamedTuple):
-    """Spectra of a frame for templates that have a mask of their own."""
+    """Spectra of a frame for templates that have their own masks."""
 
     signal: Complex[Array, "range beam"]
-    """Spectrum of the centred frame, 0 where it was not measured."""
+    """Spectrum of the centred frame, with 0 where it was not measured."""
     square: Complex[Array, "range beam"]
     """Spectrum of its square."""
     valid: Complex[Array, "range beam"]
@@ -118,8 +116,7 @@ def weighted_maps(
     map_shape: tuple[int, int],
     min_valid: float | Array,
 ) -> Float[Array, "pair two row col"]:
-    """Masked eq. 4 where each template counts only under its own mask (`weights`, with `pixels` pixels in it).
-
+    """Masked eq. 4 where each template counts only under its own mask (`weights`, which holds `pixels` pixels).
     The window moments differ from template to template here, so they are correlations too (six in all).
     """
     count = jnp.round(correlate(frame.valid, weights, map_shape))
@@ -129,7 +126,7 @@ def weighted_maps(
     signal = correlate(frame.signal, weights, map_shape)
     window = correlate(frame.square, weights, map_shape) - jnp.square(signal) / safe
     product = correlate(frame.signal, planes, map_shape) - signal * total / safe
-    # this energy is a difference of sums: ten times the tolerance of `masked_maps`
+    # This energy is a difference of sums, so its tolerance is ten times that of `masked_maps`.
     scores = product * inverse_root(window, 10 * NEAR_CONSTANT * frame.energy) * inverse_root(template, LOST_TEMPLATE)
     wanted = jnp.maximum(min_valid * pixels, 1.0)[..., None, None]
     return jnp.where(count >= wanted, scores, 0.0)

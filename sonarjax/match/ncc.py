@@ -1,8 +1,7 @@
 """Eq. 4: zero-mean normalised cross-correlation of a frame with every template of a bank over yaw.
-
-Takes a frame (range, beam) and a bank (`.templates` (yaw, h, w), or a plain array), returns scores (yaw,) from -1 to 1,
-the best window's corner, or the whole maps (yaw, row, col). Near-constant windows and templates score 0. Frames are
-finite where measured. A batch of frames is one `jax.vmap`.
+Takes a frame (range, beam) and a bank (`.templates` (yaw, h, w), or a plain array). Returns scores (yaw,) from -1 to 1,
+the corner of the best window, or complete maps (yaw, row, col). Nearly constant windows and templates score 0. Frames
+must be finite where they were measured. For a batch of frames use `jax.vmap`.
 """
 
 from __future__ import annotations
@@ -48,7 +47,7 @@ class MatchPositions(NamedTuple):
 
 @record
 class PreparedBank:
-    """A bank with its spectra kept: matching many frames with it costs half."""
+    """A bank together with its spectra, which halves the cost of matching it with many frames."""
 
     templates: Float[Array, "*batch yaw h w"]
     """The bank's templates."""
@@ -57,9 +56,11 @@ class PreparedBank:
 
 
 def prepare_bank(bank: Any, image_shape: tuple[int, int], *, masked: bool = False) -> PreparedBank:
-    """`bank` (its `.templates` (yaw, h, w)) with spectra for frames of `image_shape` (range bins, beams).
+    """`bank` (its `.templates` (yaw, h, w)) together with its spectra for frames of `image_shape` (range bins, beams).
+    `masked` also keeps what matching with a mask needs.
 
-    `masked` keeps what matching with a mask needs too. Raises SonarjaxError where a template is larger than the frame.
+    Raises:
+        SonarjaxError: A template is larger than the frame.
     """
     templates = _templates(bank)
     check_shapes(templates.shape, image_shape)
@@ -74,11 +75,19 @@ def match_bank(
     min_valid: float = MIN_VALID,
     template_mask: Bool[AnyArray, "yaw h w"] | None = None,
 ) -> Float[Array, " yaw"]:
-    """Scores (yaw,) of eq. 4: the largest correlation of each template with `image` (range, beam), over all positions.
+    """Scores of eq. 4: the largest correlation of each template with the image, over all positions.
+    Args:
+        image: The frame (range, beam), finite where measured.
+        bank: Holds `.templates` (yaw, h, w), and optionally `.spectra` (see `prepare_bank`).
+        mask: True for the pixels that count (range, beam); None for all.
+        min_valid: A window scores 0 if less than this share of the template's pixels was measured.
+        template_mask: True for the pixels of each template that count (yaw, h, w); None for all.
 
-    `bank` has `.templates` (yaw, h, w) and perhaps `.spectra` (`prepare_bank`). Only pixels where `mask` is true count,
-    and of a template those where `template_mask` is; a window with less than the share `min_valid` of the template's
-    pixels measured scores 0. Raises SonarjaxError where shapes do not fit.
+    Returns:
+        Scores (yaw,) from -1 to 1.
+
+    Raises:
+        SonarjaxError: Shapes do not fit.
     """
     return _match(image, bank, mask, template_mask, min_valid, _best_score)
 
@@ -92,11 +101,18 @@ def match_positions(
     template_mask: Bool[AnyArray, "yaw h w"] | None = None,
     whole: bool = False,
 ) -> MatchPositions:
-    """Scores (yaw,) as `match_bank` of `image` (range, beam), and the corner of the window that reached each.
+    """Scores (yaw,) as in `match_bank`, and where each is reached: row (yaw,) and column (yaw,) of the window's
+    top-left corner.
+    Raises the same errors as `match_bank`.
 
-    The corner is the top-left one, row (yaw,) and column (yaw,). `template_mask` is (yaw, h, w). With `whole`, the part
-    of a template over pixels that `mask` leaves out counts as unmatched, and half of its highlight must be measured:
-    none can hide there. Errors as there.
+    Args:
+        image: The frame (range, beam), finite where measured.
+        bank: As in `match_bank`.
+        mask: True for the pixels that count (range, beam); None for all.
+        min_valid: As in `match_bank`.
+        template_mask: True for the pixels of each template that count (yaw, h, w); None for all.
+        whole: Count the part of a template over pixels outside `mask` as unmatched, and require that half of its
+            highlight was measured. Then no template fits merely because most of it was not measured.
     """
     return _match(image, bank, mask, template_mask, min_valid, best_position, whole)
 
@@ -109,9 +125,8 @@ def correlation_maps(
     min_valid: float = MIN_VALID,
     template_mask: Bool[AnyArray, "yaw h w"] | None = None,
 ) -> Float[Array, "yaw row col"]:
-    """Eq. 4 at every window position (yaw, row, col) of `image` (range, beam), range − h + 1 by beam − w + 1.
-
-    `template_mask` is (yaw, h, w); arguments and errors as in `match_bank`.
+    """Eq. 4 at every window position (yaw, row, col) of `image` (range, beam): range − h + 1 by beam − w + 1 positions.
+    Arguments and errors as in `match_bank`; `template_mask` is (yaw, h, w).
     """
     return _match(image, bank, mask, template_mask, min_valid, _whole_map)
 
@@ -158,10 +173,10 @@ def _spectra(templates: Array, image_shape: tuple[int, int], masked: bool) -> Te
 
 @partial(jax.jit, static_argnums=2)
 def _match_plain(image: Array, spectra: TemplateSpectra, reduce: Callable[..., Any]) -> Any:
-    centred = image - jnp.mean(image)  # the mean cancels in eq. 4, but its size would cost float32 digits
+    centred = image - jnp.mean(image)  # the mean cancels in eq. 4, but a large mean would cost float32 digits
     energy = window_moments(centred, spectra.template_shape).energy
     scale = inverse_root(energy, NEAR_CONSTANT * jnp.sum(jnp.square(centred)))
-    scale = jax.lax.optimization_barrier(scale)  # else XLA fuses it into the loop and computes it anew for each chunk
+    scale = jax.lax.optimization_barrier(scale)  # keeps XLA from fusing it into the loop, anew for each chunk
     frame = frame_spectrum(centred)
 
     def chunk(planes: Array) -> Any:
@@ -203,7 +218,7 @@ def _match_weighted(
 
 
 def per_template(chunks: Any, yaw_count: int) -> Any:
-    """Leading axes (chunk, pair, two) of each result as one (yaw,), without the padding."""
+    """Join the leading axes (chunk, pair, two) of each result into one (yaw,), without the padding."""
     return jax.tree_util.tree_map(lambda x: x.reshape(-1, *x.shape[3:])[:yaw_count], chunks)
 
 
@@ -214,7 +229,7 @@ def _best_score(maps: Float[Array, "pair two row col"]) -> Float[Array, "pair tw
 def best_position(maps: Float[Array, "pair two row col"]) -> MatchPositions:
     """The best window of each template in its map (pair, two, row, col)."""
     by_col = jnp.max(maps, axis=2)
-    col = jnp.argmax(by_col, axis=2)  # an argmax over one axis at a time: over both XLA's CPU code is ten times slower
+    col = jnp.argmax(by_col, axis=2)  # one axis at a time: over both at once XLA's CPU code is ten times slower
     column = jnp.take_along_axis(maps, col[:, :, None, None], axis=3)[..., 0]
     return MatchPositions(jnp.max(by_col, axis=2), jnp.argmax(column, axis=2), col)
 

@@ -1,8 +1,7 @@
 """Spectra of a template bank, kept so that many frames can be matched with it.
-
-Takes templates (yaw, h, w), returns `TemplateSpectra`. Two real templates share one complex transform (their
-correlations are its real and imaginary part), and a few pairs form a chunk that stays in the processor's cache: on two
-CPU cores both together are up to twice as fast as one batched real transform of the whole bank.
+Takes templates (yaw, h, w) and returns `TemplateSpectra`. Two real templates share one complex transform: their
+correlations are its real and its imaginary part. A few pairs form a chunk that stays in the processor's cache. On two
+CPU cores both together are up to twice as fast as one batched real transform of the complete bank.
 """
 
 from __future__ import annotations
@@ -18,10 +17,12 @@ from sonarjax.io.errors import SonarjaxError
 from sonarjax.records import record, static
 
 CHUNK_BYTES = {"cpu": 5 << 19, "gpu": 1 << 28, "tpu": 1 << 28}
-"""Spectra worked on at once [bytes]: about two cores' second-level caches, or enough for an accelerator."""
+"""Size of the spectra that are processed at once [bytes]: about the second-level caches of two cores, or enough
+for an accelerator.
+"""
 BACKGROUND = 0.5  # grey of a semantic map's background; highlight is brighter
 CONSTANT_TEMPLATE = 1e-10
-"""A template whose variance is below this share of its mean square is constant: it scores 0."""
+"""A template whose variance is below this share of its mean square counts as constant and scores 0."""
 
 
 @record
@@ -29,17 +30,17 @@ class TemplateSpectra:
     """Spectra of a bank's templates, centred and scaled to unit norm, in chunks of packed pairs."""
 
     planes: Complex[Array, "*batch chunk pair range beam"]
-    """Conjugate spectra of templates 2p (+ i times those of 2p + 1), zero-padded to the transform's size."""
+    """Conjugate spectra of templates 2p, plus i times those of 2p + 1, zero-padded to the size of the transform."""
     squares: Complex[Array, "*batch chunk pair range beam"] | None
-    """The same of the squared templates, which masked matching needs; None if it was not asked for."""
+    """The same for the squared templates, needed to match with a mask; None if that was not asked for."""
     echoes: Complex[Array, "*batch chunk pair range beam"] | None
-    """The same of their highlight alone, scaled to sum 1; None as `squares`."""
+    """The same for their highlight alone, scaled to sum 1; None if `squares` is."""
     yaw_count: int = static()
-    """Number of templates; the planes may hold a few empty ones more."""
+    """Number of templates; the planes may hold a few empty ones in addition."""
     template_shape: tuple[int, int] = static()
     """Height and width of a template [range bins, beams]."""
     image_shape: tuple[int, int] = static()
-    """Shape of the frames that they serve [range bins, beams]."""
+    """Shape of the frames for which they are made [range bins, beams]."""
 
     @property
     def map_shape(self) -> tuple[int, int]:
@@ -52,8 +53,10 @@ def template_spectra(
     templates: Float[Array, "yaw h w"], image_shape: tuple[int, int], *, masked: bool = False
 ) -> TemplateSpectra:
     """Spectra of `templates` (yaw, h, w) for frames of `image_shape` (range bins, beams), to be kept with the bank.
+    `masked` adds what matching with a mask needs.
 
-    `masked` adds what matching with a mask needs. Raises SonarjaxError where a template is larger than the frame.
+    Raises:
+        SonarjaxError: A template is larger than the frame.
     """
     check_shapes(templates.shape, image_shape)
     unit = unit_templates(templates)
@@ -65,14 +68,14 @@ def template_spectra(
 
 
 def _echo_shares(templates: Float[Array, "yaw h w"]) -> Float[Array, "yaw h w"]:
-    """Each pixel's share of its template's highlight, what exceeds the background's grey; even where there is none."""
+    """Each pixel's share of its template's highlight, the grey above the background's; equal if there is none."""
     bright = jnp.maximum(templates - BACKGROUND, 0.0)
     total = jnp.sum(bright, axis=(1, 2), keepdims=True)
     return jnp.where(total > 0, bright / jnp.where(total > 0, total, 1.0), 1.0 / templates[0].size)
 
 
 def check_shapes(templates: tuple[int, ...], image: tuple[int, ...]) -> None:
-    """Raise SonarjaxError unless `templates` is (yaw, h, w), not empty, and fits into `image` (range, beam)."""
+    """Raise a SonarjaxError unless `templates` is (yaw, h, w), not empty, and fits into `image` (range, beam)."""
     if len(image) != 2 or 0 in image:
         raise SonarjaxError(f"image: expected shape (range, beam), got {tuple(image)}")
     if len(templates) != 3 or 0 in templates:
@@ -86,9 +89,8 @@ def check_shapes(templates: tuple[int, ...], image: tuple[int, ...]) -> None:
 def unit_templates(
     templates: Float[Array, "yaw h w"], weight: Float[Array, "yaw h w"] | None = None
 ) -> Float[Array, "yaw h w"]:
-    """Templates (yaw, h, w) with mean 0 and norm 1, the T − T̄ and second root of eq. 4; constant ones become 0.
-
-    `weight` (yaw, h, w), 0 or 1, tells which pixels of each template count; the others become 0.
+    """Templates (yaw, h, w) with mean 0 and norm 1: T − T̄ and the second root of eq. 4. Constant templates become 0.
+    `weight` (yaw, h, w), 0 or 1, says which pixels of each template count; the others become 0.
     """
     if weight is None:
         mean = jnp.mean(templates, axis=(1, 2), keepdims=True)
@@ -103,7 +105,7 @@ def unit_templates(
 
 
 def inverse_root(energy: Array, floor: Any) -> Array:
-    """1/√energy where `energy` exceeds `floor`, else 0; the guard comes before the root, so that no gradient is NaN."""
+    """1/√energy where `energy` exceeds `floor`, else 0. It is guarded before the root, so that no gradient is NaN."""
     enough = energy > floor
     return jnp.where(enough, jax.lax.rsqrt(jnp.where(enough, energy, 1.0)), 0.0)
 
@@ -122,7 +124,7 @@ def pack(templates: Float[Array, "yaw h w"], image_shape: tuple[int, int]) -> Co
 
 
 def transform_size(image_shape: tuple[int, int]) -> tuple[int, int]:
-    """Smallest sizes with factors 2, 3 and 5 that hold the frame; what wraps round reaches no valid position."""
+    """Smallest sizes with factors 2, 3 and 5 that hold the frame; wrapped-around values reach no valid position."""
 
     def smooth(length: int) -> int:
         rest = length
@@ -148,8 +150,8 @@ def correlate(
 
 
 def over_chunks(function: Callable[[Any], Any], chunks: Any) -> Any:
-    """`function` of each chunk (leading axis of the pytree `chunks`), one after the other; results stacked."""
-    if jax.tree_util.tree_leaves(chunks)[0].shape[0] == 1:  # a loop of one turn still costs its bookkeeping
+    """Apply `function` to each chunk (leading axis of the pytree `chunks`), one after the other; stack the results."""
+    if jax.tree_util.tree_leaves(chunks)[0].shape[0] == 1:  # even a loop over one chunk has a cost
         only = function(jax.tree_util.tree_map(lambda x: x[0], chunks))
         return jax.tree_util.tree_map(lambda x: x[None], only)
     return jax.lax.map(function, chunks)

@@ -17,8 +17,7 @@ SLACK_M = 0.06
 @dataclass(frozen=True)
 class RefineConfig:
     """How `refine_pose` and `refine_yaw` search.
-
-    Only `quality`, the number of blurs and whether it polishes decide compiled code.
+    Only `quality`, the number of blurs, and whether `polish` is 0 mean other compiled code.
     """
 
     bounds: tuple[float, float, float] = (math.radians(40.0), 0.15, 0.15)
@@ -26,27 +25,32 @@ class RefineConfig:
     lean_bounds: tuple[float, float, float] = (0.06, math.radians(15.0), math.radians(15.0))
     """Largest change of z [m], roll and pitch [rad], where `refine_pose` frees them."""
     blurs: tuple[float, ...] = (8.0, 2.0, 0.8)
-    """Standard deviations of the blur in range bins, coarse to fine: the coarse ones widen the basin."""
+    """Standard deviations of the blur in range bins, coarse to fine. Coarse blurs widen the basin of attraction."""
     iterations: int = 4
-    """Renders at each blur, at most."""
+    """Most renders at each blur."""
     polish: int = 16
-    """Further renders at the last blur, to reach a point where the objective is stationary: what the implicit
-    derivative needs. 0 does without, and the derivative is zero then."""
+    """Most further renders at the last blur, to reach a stationary point of the objective, which the implicit
+    derivative needs. With 0 there is no polishing, and the derivative is zero.
+    """
     quality: RenderQuality = RenderQuality(sub_beams=1)
     """How finely the template is rendered."""
     sharpness: float = 10.0
-    """For images of labels, where a pixel is of one class or another; 0 fits a grey image, which mixes them."""
+    """How sharply pixels are assigned to one class, for images of labels (see `template.labelled`). With 0 the
+    shares are kept, which fits a grey image, whose pixels mix classes.
+    """
     margin: tuple[int, int] | None = None
-    """Only the box of the start's template and so many (bins, beams) around it count; None for the whole window.
-
-    For a grey image, whose floor is no even background, and a start that is good already."""
+    """Only the box of the start's template with this many (bins, beams) around it counts; None for the complete window.
+    Use it for a grey image, whose floor is not an even background, with a start that is already good.
+    """
     template: Template = "semantic"
-    """`semantic`, or `echo` for a frame as the device stored it: shadow, floor, each facet as bright as the elevation
-    that its echo gathers makes it, and the object's bounce on the floor, whose strength is fitted too (`sharpness`
-    plays no part then). `either` takes the one that fits the start better."""
+    """The template that is fitted: `semantic`, `echo` or `either`.
+    `echo` is for a frame as the device stored it. It shows shadow and floor, each facet as bright as the elevation that
+    its echo collects, and the object's bounce on the floor, whose strength is also fitted (`sharpness` is not used
+    then). `either` takes the template that fits the start better.
+    """
 
     def __post_init__(self) -> None:
-        """Raises SonarjaxError for an unknown template, or numbers that no search can have."""
+        """Raise a SonarjaxError for an unknown template, or numbers that no search can have."""
         if self.template not in VIEWS:
             raise SonarjaxError(f"template: expected one of {', '.join(VIEWS)}, got {self.template!r}")
         if len(self.bounds) != 3 or not all(0 < v < math.inf for v in self.bounds):

@@ -1,7 +1,7 @@
-"""How well a refined template explains a frame: what identification is judged by, beside the height of eq. 5's peak.
-
-A threshold on one correlation does not carry over from one device to another: noise lowers it for the target as much
-as another object does. What does carry over is whether map and frame agree on something that the template lacks.
+"""How well a refined template explains a frame: the evidence for identification, besides the height of eq. 5's peak.
+A threshold on a single correlation does not carry over from one device to another, because noise lowers the target's
+score as much as another object does. What does carry over is whether map and frame agree on something that the template
+lacks.
 """
 
 from __future__ import annotations
@@ -20,20 +20,21 @@ FINE, COARSE = 1.0, 4.0
 
 @record
 class Evidence:
-    """Numbers that speak for or against the template; each is a correlation or a share of one."""
+    """Numbers for or against the template. Each is a correlation or a share."""
 
     map_fit: Float[Array, "*batch"]
-    """NCC (eq. 4) of the semantic template and the semantic map."""
+    """NCC (eq. 4) of the semantic template with the semantic map."""
     frame_fit: Float[Array, "*batch"]
-    """NCC of the fitted template and the frame, both blurred by `FINE`."""
+    """NCC of the fitted template with the frame, both blurred by `FINE`."""
     coarse_fit: Float[Array, "*batch"]
-    """The same at `COARSE`, where speckle counts for less."""
+    """The same blurred by `COARSE`, where speckle matters less."""
     unexplained: Float[Array, "*batch"]
-    """Correlation of what the map shows beyond the semantic template with what the frame shows beyond the fitted one.
-
-    Near 0 for the target, whose residuals are noise; positive where both show another object."""
+    """Correlation between what the map shows beyond the semantic template and what the frame shows beyond the fitted
+    one.
+    It is near 0 for the target, whose residuals are noise, and positive if both show another object.
+    """
     left_over: Float[Array, "*batch"]
-    """Share of the frame's standard deviation, blurred by `COARSE`, that the template leaves."""
+    """Share of the frame's standard deviation, blurred by `COARSE`, that the template does not explain."""
 
 
 @jax.jit
@@ -41,10 +42,15 @@ def gather_evidence(
     frame: Float[Array, "range beam"], semantic: Float[Array, "range beam"], measured: Float[Array, "range beam"],
     template: Float[Array, "range beam"], labels: Float[Array, "range beam"],
 ) -> Evidence:  # fmt: skip
-    """Evidence for the `template` that was fitted to a `frame`, whose semantic form is `labels` (less the floor's 0.5).
+    """Evidence for a template that was fitted to a frame.
+    All arguments are windows (range, beam) of one place. Only the box of `labels`, with the bank's margin, counts.
 
-    All are windows (range, beam) of one place; `semantic` is the map of the frame, `measured` is 1 where there is a
-    pixel, else 0. Only the template's box with the bank's margin counts.
+    Args:
+        frame: The frame (range, beam).
+        semantic: Its semantic map (range, beam).
+        measured: 1 where a pixel was measured, else 0 (range, beam).
+        template: The fitted template (range, beam).
+        labels: The semantic template, minus the background's 0.5 (range, beam).
     """
     inside = measured * box_around(labels, (MARGIN_BINS, MARGIN_BEAMS))
     seen, drawn = normalised(frame, inside), normalised(template, inside)
@@ -61,13 +67,15 @@ def gather_evidence(
 
 
 def _blurred_fit(seen: Array, drawn: Array, inside: Array, blur: Blur) -> Float[Array, ""]:
-    """NCC, blurred, of a frame and a template that have no mean and are 0 outside: the box has no edge in them."""
+    """NCC, after blurring, of a frame and a template of mean 0 that are 0 outside the box, so that its edge
+    does not show.
+    """
     rows = inside[::ROW_STRIDE]
     return (normalised(blur(seen), rows) * normalised(blur(drawn), rows)).sum()
 
 
 def _spread(image: Array, inside: Array, blur: Blur) -> Float[Array, ""]:
-    """Standard deviation inside of an image that is 0 outside, blurred."""
+    """Standard deviation inside the box of a blurred image that is 0 outside."""
     rows = inside[::ROW_STRIDE]
     total = jnp.maximum(rows.sum(), 1.0)
     blurred = blur(image) * rows

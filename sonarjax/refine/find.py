@@ -1,4 +1,6 @@
-"""`PoseFinder`: the whole pose of a known object in a frame, from nothing: banks over lean, then `refine_pose`."""
+"""`PoseFinder`: find the complete pose of a known object in a frame, without a start: banks over lean, then
+`refine_pose`.
+"""
 
 from __future__ import annotations
 
@@ -27,42 +29,53 @@ FINDING = RefineConfig(
     bounds=(math.radians(20.0), 0.08, 0.08), lean_bounds=(0.06, math.radians(15.0), math.radians(15.0)),
     blurs=(3.0, 1.0), iterations=6, polish=0, margin=(MARGIN_BINS, MARGIN_BEAMS), sharpness=0.0,
 )  # fmt: skip
-"""How a candidate is refined on the map, and then on the frame: bounds of a step of the bank."""
+"""How a candidate is refined on the map, and then on the frame; the bounds are those of a step of the bank."""
 FRAME_BLURS = (2.0, 0.7)
-"""Blurs [range bins] of the refinement on the frame itself, which goes on from the map's."""
+"""Blurs [range bins] of the refinement on the frame itself, which continues that on the map."""
 PERTURBATIONS = {"z": 0.02, "roll": math.radians(8.0), "pitch": math.radians(8.0)}
-"""By how much the best poses are moved [m, rad] to refine them again: near the right pose there are lesser optima, some
-6° and 1 cm off."""
+"""Changes of the best poses [m, rad], from which they are refined again, because lesser optima lie near the
+right pose, some 6° and 1 cm off.
+"""
 PERTURBED = 2
-"""Hypotheses that are refined again from around them."""
+"""Number of hypotheses that are refined again from changed poses."""
 SAME, APART = math.radians(2.0), math.radians(20.0)
-"""Rotation within which poses are the same, and beyond which they are other hypotheses [rad]."""
+"""Poses within the first rotation are the same; poses beyond the second are different hypotheses [rad]."""
 KEPT_OF_EACH = 3
-"""Hypotheses of each view from which the joint refinement of several starts."""
+"""Number of hypotheses of each view from which the joint refinement of several views starts."""
 
 
 class Prepared(NamedTuple):
-    """A frame as it is searched."""
+    """A frame, ready to be searched."""
 
     image: np.ndarray
     """The frame (range, beam)."""
     semantic: np.ndarray
-    """Its map (range, beam)."""
+    """Its semantic map (range, beam)."""
     mask: np.ndarray | None
-    """True (range, beam) where a pixel was measured."""
+    """True where a pixel was measured (range, beam); None for everywhere."""
 
 
 class PoseFinder:
-    """One target and one sonar, with the banks over lean that were rendered for them so far: call it with frames."""
+    """One target and one sonar, with the banks over lean that were rendered so far. Call it with frames."""
 
     def __init__(
         self, mesh: Mesh, sonar: Sonar, *, free: Sequence[str] = ALL, segmenter: str | Segmenter = DEFAULT_SEGMENTER,
         search: SearchConfig = SearchConfig(), lean: LeanSearchConfig = LeanSearchConfig(),
         refine: RefineConfig = FINDING, engine: Engine = PLAIN,
     ) -> None:  # fmt: skip
-        """`free` are the numbers that are not 0 for sure; banks go over those of z, roll and pitch among them.
+        """Prepare the search.
+        Args:
+            mesh: The target.
+            sonar: The sonar.
+            free: Numbers of the pose that may differ from 0. The banks vary those of z, roll and pitch among them.
+            segmenter: The segmenter, or its name.
+            search: How the place is searched for.
+            lean: Which leaning poses are tried.
+            refine: How candidates are refined.
+            engine: Runs the compiled functions.
 
-        Raises SonarjaxError as `Recognizer` and `refine_pose` do.
+        Raises:
+            SonarjaxError: As `Recognizer` and `refine_pose`.
         """
         self.free, self.refine, self.engine = check_free(free), refine, engine
         self.sonar = sonar.replace(geometry_std=None)
@@ -74,13 +87,15 @@ class PoseFinder:
 
     def __call__(self, image: Any, mask: Any = None) -> PoseEstimate:
         """The poses (hypothesis,) at which the target may be in `image` (range, beam), best first.
+        `mask` (range, beam) is true where a pixel was measured.
 
-        `mask` (range, beam) is true where a pixel was measured. Raises SonarjaxError for a shape that does not fit.
+        Raises:
+            SonarjaxError: A shape does not fit the sonar.
         """
         return self.hypotheses(self.prepared(image, mask))
 
     def prepared(self, image: Any, mask: Any = None) -> Prepared:
-        """The frame (range, beam) and its map. Raises SonarjaxError for a shape that does not fit the sonar."""
+        """The frame (range, beam) with its semantic map. Raises SonarjaxError if a shape does not fit the sonar."""
         image = np.asarray(image, np.float32)
         mask = None if mask is None else np.asarray(mask, bool)
         return Prepared(image, np.asarray(self.segmenter.semantic(image, mask, self.engine)), mask)
@@ -99,7 +114,9 @@ class PoseFinder:
         return jax.tree.map(lambda v: jax.device_put(v[order]), found)
 
     def _perturbed(self, poses: Pose) -> Pose:
-        """Poses (hypothesis · change,) around each of `poses` (hypothesis,): z, roll and pitch moved, if free."""
+        """Poses (hypothesis · change,) around each of `poses` (hypothesis,), with z, roll and pitch changed if
+        they are free.
+        """
         moved = []
         for name, by in PERTURBATIONS.items():
             if name in self.free:
@@ -107,11 +124,15 @@ class PoseFinder:
         return jax.tree.map(lambda *v: np.concatenate([np.asarray(x) for x in v]), *(moved or [poses]))
 
     def views(self, images: Any, sonar_poses: Pose, alone: Sequence[PoseEstimate] | None = None) -> PoseEstimate:
-        """The poses (hypothesis,) that views (view, range, beam) of one standing object fit together, best first.
+        """The poses (hypothesis,) that explain several views of one object at rest, best first.
+        Args:
+            images: Frames (view, range, beam).
+            sonar_poses: x, y [m] and yaw [rad] of each sonar (view,) in a common ground frame, which is that of the
+                result.
+            alone: What the finder says about each view by itself, if that is known already.
 
-        `sonar_poses` (view,) are x, y [m] and yaw [rad] of the sonars in a common ground frame, that of the result.
-        `alone` is what the finder says of each view by itself, where that is known already.
-        Raises SonarjaxError as `refine_pose` does.
+        Raises:
+            SonarjaxError: As `refine_pose`.
         """
         sonars = check_views(images, sonar_poses, Pose(), self.sonar)
         alone = alone or [self(image) for image in np.asarray(images, np.float32)]
@@ -137,13 +158,13 @@ class PoseFinder:
 
 
 def kept(estimate: PoseEstimate, start: Pose) -> Pose:
-    """The refined poses; the start where refinement neither settled nor fits better."""
+    """The refined poses, but the start where refinement neither converged nor fits better."""
     better = np.asarray(estimate.converged) | np.asarray(estimate.score > estimate.start_score)
     return jax.tree.map(lambda new, old: np.where(better, np.asarray(new), np.asarray(old)), estimate.pose, start)
 
 
 def distinct(estimate: PoseEstimate, apart: float, most: int) -> np.ndarray:
-    """Numbers of the poses (hypothesis,) with the best scores, each turned by `apart` [rad] or more from all before."""
+    """Numbers of the best-scoring poses (hypothesis,), each rotated by `apart` [rad] or more from all before it."""
     turns = np.asarray(_rotations(estimate.pose))
     chosen: list[int] = []
     for k in np.argsort(-np.asarray(estimate.score)):

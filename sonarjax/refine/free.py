@@ -1,4 +1,4 @@
-"""The six numbers of a pose that refinement can free: order, units, largest steps."""
+"""The six numbers of a pose that refinement can free: their order, units and largest steps."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ class Number(NamedTuple):
     """One number of a pose."""
 
     trust: float
-    """Largest step that is believed [unit]."""
+    """Largest step in one iteration [unit]."""
     displacement: float
-    """Displacement of central differences [unit], longer than the roughness that pixels give the objective."""
+    """Displacement for central differences [unit], longer than the roughness that pixels give the objective."""
     unit: str
     """rad or m."""
 
@@ -31,24 +31,26 @@ NUMBERS: dict[str, Number] = {
     "roll": Number(0.12, 6e-3, "rad"),
     "pitch": Number(0.12, 6e-3, "rad"),
 }
-"""What may be free, in the order in which every result has them."""
+"""The numbers that may be free, in the order in which every result holds them."""
 ON_FLOOR = ("yaw", "x", "y")
-"""What is free of an object that stands on the floor: `refine_yaw`'s numbers."""
+"""The numbers that are free for an object standing on the floor, as in `refine_yaw`."""
 ALL = tuple(NUMBERS)
-"""All six."""
+"""All six numbers."""
 BOUNCE = Number(0.2, 2e-2, "1")
-"""The energy that a bounce on the floor leaves: it is fitted beside the pose, and follows its numbers in a step."""
+"""The energy left after a bounce on the floor. It is fitted together with the pose, and follows its numbers in
+a step.
+"""
 
 
 def check_free(free: Sequence[str]) -> tuple[str, ...]:
-    """The names in the order of `NUMBERS`. Raises SonarjaxError for none, an unknown name, or one given twice."""
+    """The names in the order of `NUMBERS`. Raises SonarjaxError for no name, an unknown or a repeated one."""
     return in_order(free, NUMBERS)
 
 
 def in_order(free: Sequence[str], known: Iterable[str]) -> tuple[str, ...]:
     """The names of `free` in the order of the `known` ones.
-
-    Raises SonarjaxError for none, an unknown name, or one given twice.
+    Raises:
+        SonarjaxError: There are none, or a name is unknown or given twice.
     """
     names, order = [free] if isinstance(free, str) else list(free), list(known)
     unknown = [name for name in names if name not in order]
@@ -69,5 +71,5 @@ def displacements(free: Sequence[str]) -> tuple[float, ...]:
 
 
 def pose_at(start: Pose, step: Float[Array, "step"], free: Sequence[str]) -> Pose:
-    """`start` moved by the first numbers of `step`, which are those of `free` [rad, m]."""
+    """`start` changed by the first numbers of `step`, which are those of `free` [rad, m]."""
     return replace(start, **{name: getattr(start, name) + step[k] for k, name in enumerate(free)})

@@ -1,8 +1,8 @@
 """The derivative of a refined pose by what it was refined from: the implicit function theorem at the solution.
-
-At a stationary point z of F(z, θ), dz/dθ = −H⁻¹ ∂²F/∂z∂θ with H = ∂²F/∂z² (Krantz & Parks, The Implicit Function
-Theorem, 2002). Both second derivatives are central differences of first ones, over steps longer than the roughness that
-pixels give F: Gauss–Newton's JᵀJ alone would leave out the residuals' share, which is large on noisy frames.
+At a stationary point z of F(z, θ), dz/dθ = −H⁻¹ ∂²F/∂z∂θ with H = ∂²F/∂z² (Krantz and Parks, The Implicit Function
+Theorem, 2002). Both second derivatives are central differences of first derivatives, with displacements longer than the
+roughness that pixels give F. Gauss–Newton's JᵀJ alone would omit the residuals' contribution, which is large on noisy
+frames.
 """
 
 from __future__ import annotations
@@ -19,12 +19,13 @@ from sonarjax.refine.free import displacements
 from sonarjax.refine.objective import Blur, Problem, misfit
 
 LEAST_CURVATURE = 1e-3
-"""Least eigenvalue of the Hessian in units of the displacements, as a share of its largest: below it nothing is
-determined."""
+"""Least eigenvalue of the Hessian, in units of the displacements, as a share of the largest; below it the
+solution is not determined.
+"""
 
 
 def hessian(problem: Problem, blur: Blur, step: Float[Array, "step"]) -> Float[Array, "step step"]:
-    """Second derivatives of the misfit at `step`, as differences of its gradients (forward mode)."""
+    """Second derivatives of the misfit at `step`, as differences of its forward-mode gradients."""
 
     def gradient(at: Array) -> Array:
         return jax.vmap(lambda along: jax.jvp(lambda s: misfit(problem, blur, s), (at,), (along,))[1])(
@@ -42,10 +43,10 @@ def hessian(problem: Problem, blur: Blur, step: Float[Array, "step"]) -> Float[A
 def is_minimum(
     curvature: Float[Array, "step step"], free: Bool[Array, "step"], scale: Float[Array, "step"]
 ) -> Bool[Array, ""]:
-    """True where the misfit bends upwards clearly in every `free` direction, in units of `scale` (step,)."""
+    """True if the misfit clearly curves upwards in every `free` direction, in units of `scale` (step,)."""
     scaled = curvature * scale[:, None] * scale
     most = jnp.abs(jnp.where(free, jnp.diag(scaled), 0.0)).max()
-    # What is held fast gets the largest curvature, so that it does not count.
+    # Held numbers get the largest curvature, so that they do not count.
     scaled = jnp.where(free[:, None] & free, scaled, jnp.diag(jnp.full(len(scale), most)))
     ok = jnp.isfinite(scaled).all() & (most > 0)
     lowest = jnp.linalg.eigvalsh(jnp.where(ok, scaled, jnp.eye(len(scale)))).min()
@@ -57,10 +58,9 @@ def attach(
     solution: Float[Array, "step"], problem: Problem, blur: Blur, curvature: Float[Array, "step step"],
     free: Bool[Array, "step"], determined: Bool[Array, ""],
 ) -> Float[Array, "step"]:  # fmt: skip
-    """`solution` as it is, with its derivative by everything in `problem`; zero unless it is `determined`.
-
-    `curvature` is the misfit's Hessian there. Numbers that are not `free` lie on a bound, or are not fitted: they leave
-    the system. The start, of which a minimum does not depend, gets no derivative.
+    """`solution` unchanged, with its derivative by everything in `problem`; the derivative is zero unless `determined`.
+    `curvature` is the misfit's Hessian there. Numbers that are not `free` lie on a bound or are not fitted, and leave
+    the system of equations. A minimum does not depend on the start, which therefore gets no derivative.
     """
     return solution
 
@@ -76,7 +76,7 @@ def _backward(kept: Any, wanted: Float[Array, "step"]) -> Any:
     direction = jnp.linalg.solve(system, jnp.where(held, 0.0, wanted))
     usable = determined & jnp.isfinite(direction).all()
     direction = jnp.where(usable, direction, 0.0)
-    # The mixed derivative along `direction`, as the difference of two gradients by θ.
+    # The mixed derivative along `direction` is the difference of two gradients by θ.
     size = jnp.maximum(jnp.abs(direction / jnp.asarray(displacements(problem.subject.free))).max(), 1e-12)
     shift = direction / size
 
@@ -101,7 +101,7 @@ def _backward(kept: Any, wanted: Float[Array, "step"]) -> Any:
 
 
 def _no_tangent(value: Any) -> np.ndarray:
-    """What JAX takes for the derivative by an integer."""
+    """What JAX expects as the derivative by an integer."""
     return np.zeros(np.shape(value), jax.dtypes.float0)
 
 
@@ -114,5 +114,5 @@ attach.defvjp(_forward, _backward)
 
 
 def without_gradient(tree: Any) -> Any:
-    """All leaves of a pytree held constant."""
+    """All leaves of a pytree as constants."""
     return jax.tree.map(stop_gradient, tree)

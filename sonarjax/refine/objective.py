@@ -1,7 +1,6 @@
 """What refinement minimises: 1 − NCC between the rendered window and the image, as least-squares residuals.
-
-With both images blurred, freed of their mean and scaled to unit norm, the sum of squared differences is 2·(1 − NCC):
-eq. 4 becomes a least-squares problem, and any grey image will do.
+If both images are blurred, brought to mean 0 and scaled to unit norm, the sum of squared differences is 2·(1 − NCC). So
+eq. 4 becomes a least-squares problem, for any grey image.
 """
 
 from __future__ import annotations
@@ -14,33 +13,33 @@ from jaxtyping import Array, Bool, Float, Int
 from sonarjax.refine.template import Subject, draw
 
 SMALL = 1e-9
-BEAMS_PER_BIN = 0.4  # a beam is about 2.5 bins wide at the ranges of §4.1: the blur is round on the floor
-ROW_STRIDE = 2  # every second row of a blurred image holds all of it
+BEAMS_PER_BIN = 0.4  # a beam is about 2.5 bins wide at the ranges of §4.1, which makes the blur round on the floor
+ROW_STRIDE = 2  # every second row of a blurred image holds all its information
 
 
 class Problem(NamedTuple):
-    """One frame's refinement: the image, and what is drawn to fit it."""
+    """One frame's refinement: the image, and what is rendered to fit it."""
 
     image: Float[Array, "range beam"]
     """The window of the frame, any grey scale."""
     weight: Float[Array, "range beam"]
     """1 where the pixel was measured, else 0."""
     subject: Subject
-    """What is drawn."""
+    """What is rendered."""
     margin: Int[Array, "2"]
-    """Bins and beams around the start's template that count; more than the window has for all of it."""
+    """Bins and beams around the start's template that count; larger than the window if all of it counts."""
 
 
 class Blur(NamedTuple):
     """A Gaussian blur as two matrices, whose rows sum to 1."""
 
     along: Float[Array, "row range"]
-    """Blur in range; a row for every ROW_STRIDE-th range bin."""
+    """Blur along range, with a row for every ROW_STRIDE-th range bin."""
     across: Float[Array, "beam beam"]
-    """Blur in azimuth."""
+    """Blur along azimuth."""
 
     def __call__(self, image: Float[Array, "*batch range beam"]) -> Float[Array, "*batch row beam"]:
-        """The blurred image, every ROW_STRIDE-th row of it."""
+        """Blur `image` (range, beam); give every ROW_STRIDE-th row (row, beam)."""
         return self.along @ image @ self.across.T
 
 
@@ -58,7 +57,7 @@ def make_blur(shape: tuple[int, int], sigma: Float[Array, ""] | float) -> Blur:
 
 
 def normalised(image: Float[Array, "range beam"], weight: Float[Array, "range beam"]) -> Float[Array, "range beam"]:
-    """`image` without its weighted mean and of unit weighted norm; zero where it is constant."""
+    """`image` with its weighted mean removed, scaled to unit weighted norm; zero if it is constant."""
     total = jnp.maximum(weight.sum(), SMALL)
     centred = (image - (image * weight).sum() / total) * weight
     return centred / jnp.sqrt((centred**2).sum() + SMALL)
@@ -75,8 +74,7 @@ def compare(
 
 def misfit(problem: Problem, blur: Blur, step: Float[Array, "step"], reverse: bool = False) -> Float[Array, ""]:
     """1 − NCC of the blurred images at `step` [rad, m, 1] from the start: what refinement minimises.
-
-    With `reverse` it can be differentiated by reverse mode too (see `draw`).
+    With `reverse`, reverse-mode differentiation works too (see `draw`).
     """
     drawn = draw(problem.subject, step, reverse)
     return (compare(problem.image, drawn, problem.weight, blur) ** 2).sum() / 2
@@ -88,7 +86,7 @@ def crop_score(
     weight: Float[Array, "range beam"],
     margin: tuple[int, int] | Int[Array, "2"],
 ) -> Float[Array, ""]:
-    """NCC (eq. 4) of a rendered template and the image over the template's own box and a `margin` (bins, beams)."""
+    """NCC (eq. 4) of a rendered template with the image, over the template's own box and a `margin` (bins, beams)."""
     inside = weight * box_around(drawn, margin)
     return (normalised(image, inside) * normalised(drawn, inside)).sum()
 
@@ -96,7 +94,7 @@ def crop_score(
 def box_around(
     drawn: Float[Array, "range beam"], margin: tuple[int, int] | Int[Array, "2"]
 ) -> Bool[Array, "range beam"]:
-    """True (range, beam) in the box of what a template of `draw` shows, with a `margin` (bins, beams) around it."""
+    """True (range, beam) in the box of what a template from `draw` shows, with a `margin` (bins, beams) around it."""
     touched = jnp.abs(drawn) > 0.01
     return _extent(touched.any(axis=1), margin[0])[:, None] & _extent(touched.any(axis=0), margin[1])
 

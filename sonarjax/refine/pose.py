@@ -33,29 +33,35 @@ from sonarjax.sonar import Sonar
 
 @record
 class PoseEstimate:
-    """A refined pose; every field has the batch shape of the starts, and none is ever NaN."""
+    """A refined pose. Every field has the batch shape of the starts, and none is ever NaN."""
 
     pose: Pose
-    """All six numbers [m, rad]; yaw in [0, 2π). What is not free, or not observable, is the start's."""
+    """All six numbers [m, rad]; yaw in [0, 2π). Numbers that are not free, or not observable, are those of the
+    start.
+    """
     covariance: Float[Array, "*batch free free"]
     """Covariance of the free numbers' errors [m, rad], in the order of `free`, given the right basin.
-
-    From the curvature and the residuals of each beam; on labels of a render standard deviations have the size of the
-    errors, and errors that neighbouring beams share make them too small. Of a number that is not observable it is that
-    of the bounds, and its share in the others' errors is counted. Infinite where nothing could be compared."""
+    It comes from the curvature and the residuals of each beam. On labels of a render the standard deviations are as
+    large as the errors; errors that neighbouring beams share make them too small. A number that is not observable has
+    the covariance of its bounds, which also adds to the errors of the others. Infinite if nothing could be compared.
+    """
     score: Float[Array, "*batch"]
-    """NCC (eq. 4) of the refined template, over its own box with the bank's margin; 0 where there is none."""
+    """NCC (eq. 4) of the refined template, over its own box with the bank's margin; 0 if there is no template."""
     start_score: Float[Array, "*batch"]
     """NCC of the start's template, over its own box with the same margin."""
     converged: Bool[Array, "*batch"]
-    """True when the last step was small and the result is inside its bounds."""
+    """True if the last step was small and the result lies inside its bounds."""
     determined: Bool[Array, "*batch"]
-    """True when it is polished to an interior minimum, and so has a derivative; without polishing always False."""
+    """True if the result was polished to an interior minimum, and so has a derivative; always False without
+    polishing.
+    """
     observable: Bool[Array, "*batch free"]
-    """Whether the frame determines each free number: at most half of its prior's standard deviation is left, where it
-    may lie anywhere within its bounds beforehand. `refine_pose` puts others back to their start."""
+    """For each free number, whether the frame determines it: at most half of its prior's standard deviation is
+    left, the prior being that it lies anywhere within its bounds. `refine_pose` puts the others back to their
+    start.
+    """
     singular_values: Float[Array, "*batch free"]
-    """Of what the frame tells about the free numbers, in units of these priors, largest first."""
+    """Singular values of what the frame says about the free numbers, in units of these priors, largest first."""
     free: tuple[str, ...] = static(default=ON_FLOOR)
     """The free numbers, in the order yaw, x, y, z, roll, pitch."""
 
@@ -67,12 +73,12 @@ class PoseEstimate:
 
 @record
 class Drawn:
-    """What was drawn at the solutions, each in its own window of the frame."""
+    """The templates at the solutions, each in its own window of the frame."""
 
     template: Float[Array, "*batch row column"]
-    """The template that was fitted, as what it differs from the bare floor."""
+    """The fitted template, as its difference from the bare floor."""
     labels: Float[Array, "*batch row column"]
-    """The semantic template, less the background's 0.5."""
+    """The semantic template, minus the background's 0.5."""
     row: Int[Array, "*batch"]
     """First range bin of the window."""
     column: Int[Array, "*batch"]
@@ -92,26 +98,31 @@ def refine_pose(
     sonar_poses: Pose | None = None,
     engine: Engine = PLAIN,
 ) -> PoseEstimate:
-    """Refine the `free` numbers of a pose from `start` by Levenberg–Marquardt on 1 − NCC of the rendered template.
+    """Refine the free numbers of a pose by Levenberg–Marquardt on 1 − NCC of the rendered template.
+    A free number that the frame does not determine (`observable`) is put back to its start, and the others are refined
+    once more without it. Provided that `config.polish` is not 0, the pose has reverse-mode derivatives by image, mesh
+    vertices and sonar (see `implicit`); they are zero where `determined` is False.
 
-    `free` are any of yaw, x, y, z, roll and pitch; the others stay as the start has them. A free number that the frame
-    does not determine (`observable`) is put back to its start, and the others are refined once more without it.
+    Args:
+        image: Semantic map, or any grey image in which highlight is brighter than shadow: (range, beam), with a leading
+            batch axis, or (view, range, beam) with `sonar_poses`.
+        mesh: The object.
+        sonar: The sonar.
+        start: Where to start [m, rad]: one pose for each frame of the batch. With one more axis it holds several
+            hypotheses for each frame, and the estimate keeps that axis.
+        free: Any of yaw, x, y, z, roll and pitch. The others stay as in the start.
+        mask: True where a pixel was measured; the image's shape.
+        config: How to search.
+        window: Size of the window to render. By default it is planned if nothing is traced; a traced call renders the
+            complete frame, so plan it beforehand with `plan_refinement`.
+        sonar_poses: Makes the frames views of one object at rest: x, y [m] and yaw [rad] of each sonar (view,) in a
+            common ground frame. `start`, a single pose or an axis of hypotheses, and the estimate are in that frame.
+            The views are refined jointly on the host: nothing may be traced, and nothing is `determined`.
+        engine: Runs the compiled functions.
 
-    `image` (range, beam) is the semantic image, or any grey one in which highlight is brighter than shadow; with a
-    leading batch axis, `start` holds one pose a frame. A start whose fields have one more axis holds several
-    hypotheses a frame, and the estimate keeps that axis. `mask`, of the image's shape, is true where a pixel was
-    measured. `window` is the part of the frame that is rendered: plan it with `plan_refinement` where the call is
-    traced, else all of the frame is.
-
-    `sonar_poses` (view,) make the frames views (view, range, beam) of one standing object: x, y [m] and yaw [rad] of
-    each sonar in a common ground frame, in which `start` and the estimate are, a pose or an axis of hypotheses. The
-    views are then refined jointly, on the host: nothing may be traced, and nothing is `determined`.
-
-    The pose has derivatives by image, mesh vertices and sonar (reverse mode; see `implicit`), provided `config.polish`
-    is not 0; where `determined` is False they are zero.
-
-    Raises SonarjaxError when the shapes do not fit the sonar, or `free` holds no name, an unknown one or one twice; of
-    views also where `sonar_poses` are not one for each, lean, or something is traced.
+    Raises:
+        SonarjaxError: The shapes do not fit the sonar, or `free` is empty or has an unknown or repeated name. For views
+            also if there is not one of `sonar_poses` for each, one of them leans, or something is traced.
     """
     names = check_free(free)
     if sonar_poses is not None:
@@ -123,7 +134,7 @@ def _refine_views(
     images: Any, mesh: Mesh, sonar: Sonar, start: Pose, free: tuple[str, ...], mask: Any, config: RefineConfig,
     window: WindowSize | None, sonar_poses: Pose, engine: Engine,
 ) -> PoseEstimate:  # fmt: skip
-    """`refine_pose` of several views."""
+    """`refine_pose` for several views."""
     if is_traced(images, mask, mesh, sonar, start, sonar_poses):
         raise SonarjaxError("sonar_poses: several views are refined on the host: nothing may be traced")
     images, sonars = np.asarray(images, np.float32), check_views(images, sonar_poses, start, sonar)
@@ -153,12 +164,12 @@ def search_pose(
     image: Any, mesh: Mesh, sonar: Sonar, start: Pose, mask: Any, config: RefineConfig, window: WindowSize | None,
     engine: Engine, *, free: tuple[str, ...], hold: bool,
 ) -> tuple[PoseEstimate, Drawn]:  # fmt: skip
-    """As `refine_pose`, with what was drawn at the solutions.
-
-    `hold` puts back what the frame does not determine; without it nobody looks, and nothing counts as observable.
+    """As `refine_pose`, together with the templates at the solutions.
+    `hold` puts back numbers that the frame does not determine. Without it this is not checked, and nothing counts as
+    observable.
     """
     traced = is_traced(image, mask, mesh, sonar, start)
-    array = jnp if traced else np  # on the host NumPy cuts and joins without compiling anything
+    array = jnp if traced else np  # NumPy slices and joins on the host without compiling anything
     image = array.asarray(image, np.float32)
     if image.ndim not in (2, 3) or image.shape[-2:] != sonar.shape:
         raise SonarjaxError(f"image: expected shape {sonar.shape} (range, beam) of the sonar, got {image.shape}")
@@ -169,7 +180,7 @@ def search_pose(
     if len(axes) not in (frames, frames + 1) or axes[:frames] != image.shape[:frames]:
         raise SonarjaxError(f"start: expected one pose (or one axis of poses) for each image, got shape {axes}")
     size = window or plan_refinement(mesh, sonar, start, config, free)
-    # One long list of frames and starts.
+    # Flatten frames and starts to one list.
     starts = jax.tree.map(lambda v: array.asarray(v).reshape(-1), start)
     count = math.prod(axes)
     which = np.arange(count) // max(count // max(math.prod(axes[:frames]), 1), 1)
@@ -194,7 +205,7 @@ def prepare_refinement(
     mesh: Mesh, sonar: Sonar, start: Pose, config: RefineConfig, engine: Engine, window: WindowSize | None = None,
     free: tuple[str, ...] = ON_FLOOR,
 ) -> None:  # fmt: skip
-    """Have `engine` compile the refinement of one start of frames of this sonar, before there is a frame."""
+    """Let `engine` compile the refinement of one start in frames of this sonar, before there is a frame."""
     image = np.zeros(sonar.shape, np.float32)
     begin = jax.tree.map(np.asarray, start)
     size = window or plan_refinement(mesh, sonar, start, config, free)
@@ -203,19 +214,18 @@ def prepare_refinement(
 
 
 def is_traced(*trees: Any) -> bool:
-    """True where a leaf of these pytrees is being traced: a function around this one is compiled or differentiated."""
+    """True if a leaf of these pytrees is traced: a function around this one is being compiled or differentiated."""
     return any(isinstance(v, jax.core.Tracer) for v in jax.tree.leaves(trees))
 
 
 def plan_refinement(
     mesh: Mesh, sonar: Sonar, start: Pose, config: RefineConfig, free: Sequence[str] = ON_FLOOR
 ) -> WindowSize:
-    """Size of the window that refinement renders, for starts [m, rad] of any shape; a host function.
-
-    The window is large enough for the object and its shadow at each start, however it is turned, `SLACK_M` around it
-    included; lifted and leaning as the start is, and as far as the bounds of `free` z, roll and pitch let it. The
-    object itself touches no more than the planned beams while x and y stay within the bounds. Where tracing hides the
-    places, the mesh or the sonar, it is the whole frame.
+    """Plan the size of the window that refinement renders, for starts [m, rad] of any shape. A host function.
+    The window holds the object and its shadow at each start, with `SLACK_M` around, at any yaw, lifted and leaning as
+    in the start and as far as the bounds of `free` z, roll and pitch allow. The object itself touches no more than the
+    planned beams as long as x and y stay within their bounds. If the places, the mesh or the sonar are traced, the
+    window is the complete frame.
     """
     if is_traced(start, sonar, mesh):
         return WindowSize(sonar.shape, sonar.n_beams)
@@ -225,7 +235,7 @@ def plan_refinement(
     nearest = max(float(ground.min()) - max(config.bounds[1:]), 0.0)
     shapes = [plan_window(room, sonar, float(g), SLACK_M).shape for g in (ground.min(), ground.max())]
     rows, columns = max(s[0] for s in shapes), max(s[1] for s in shapes)
-    # Coarse steps: compiling the solver for another window costs far more than a few empty pixels.
+    # Sizes grow in coarse steps, because compiling the solver for another size costs far more than a few empty pixels.
     shape = min(-(-rows // 128) * 128, sonar.n_ranges), min(-(-columns // 32) * 32, sonar.n_beams)
     beams = plan_window(room, sonar, nearest).object_columns
     assert beams is not None
@@ -233,7 +243,7 @@ def plan_refinement(
 
 
 def _room(mesh: Mesh, start: Pose, lift: Any, roll: Any, pitch: Any) -> Mesh:
-    """The mesh with the extent that it has at `start`, moved by so much in z [m], roll and pitch [rad] at most."""
+    """The mesh with the extent that it has at `start`, changed by at most this much in z [m], roll and pitch [rad]."""
     return leaning_room(mesh, start.z.max() + lift, (abs(start.roll) + roll).max(), (abs(start.pitch) + pitch).max())
 
 
@@ -242,7 +252,7 @@ def _static(config: RefineConfig, size: WindowSize, free: tuple[str, ...], hold:
 
 
 def _settings(config: RefineConfig, free: tuple[str, ...]) -> tuple[Any, ...]:
-    """A config's numbers, which are traced: searches of all kinds share compiled code."""
+    """A config's numbers as traced values, so that searches of all kinds share compiled code."""
     bounds = [*((-config.bound(name), config.bound(name)) for name in free), BOUNCE_BOUNDS[config.template]]
     search = Search(
         bounds=np.asarray(bounds, np.float32).T,
@@ -262,7 +272,7 @@ def _refine(
     margin: Array, *, size: WindowSize, quality: RenderQuality, polished: bool, free: tuple[str, ...],
     hold: bool,
 ) -> tuple[PoseEstimate, Drawn]:  # fmt: skip
-    """One start in one image: the window is cut out, searched, and the derivative attached."""
+    """Refine one start in one image: cut out the window, search, and attach the derivative."""
     count, away = len(free), jnp.asarray(trusts(free))
     most = [search.bounds[1][free.index(name)] if name in free else 0.0 for name in ("z", "roll", "pitch")]
     window = without_gradient(place_window(size, _room(mesh, start, *most), sonar, start.x, start.y, SLACK_M))
@@ -273,7 +283,7 @@ def _refine(
     solution, covariance, told, held = _searched(fixed, search, hold)
     best, bounds = solution.best, jnp.where(held, 0.0, search.bounds)
     score = crop_score(fixed.image, best.template, solution.weight, search.score_margin)
-    # The last step of a search that has settled is small: it is taken without another render.
+    # The last step of a settled search is small, so it is taken without another render.
     left = jnp.abs(best.remaining)
     last = jnp.where(left.max() < SETTLED_SHARE, best.remaining * away, 0.0)
     step = jnp.clip(best.step + last, *bounds)
@@ -318,8 +328,7 @@ def _searched(
     problem: Problem, search: Search, hold: bool
 ) -> tuple[Solution, Float[Array, "step step"], Observability, Bool[Array, "step"]]:
     """The search's solution, its covariance, what is observable, and which numbers were held at their start.
-
-    With `hold` it is made a second time where some numbers turn out not to be observable, without these: in a loop, so
+    With `hold`, the search is repeated without numbers that turn out not to be observable. It is written as a loop, so
     that the renderer is compiled once.
     """
     prior, count = prior_std(jnp.asarray(search.bounds)), len(problem.subject.free)
@@ -334,7 +343,7 @@ def _searched(
         covariance = error_covariance(normal, prior, state.held, known)
         if not hold:
             return state._replace(solution=solution, covariance=covariance)
-        # What the whole search can tell is judged where nothing is held.
+        # Observability is judged in the first search, in which nothing is held.
         first, here = state.number == 0, observability(normal, prior, known, count)
         told = jax.tree.map(lambda new, old: jnp.where(first, new, old), here, state.told)
         lost = first & ~told.observable & (jnp.arange(count + 1) < count)
@@ -350,7 +359,7 @@ def _searched(
 
 
 def _as_solved(problem: Problem, solution: Solution) -> Problem:
-    """The problem with pixels and template as the search chose them: its objective no longer depends on the start."""
+    """The problem with pixels and template as the search chose them; its objective no longer depends on the start."""
     return problem._replace(
         weight=solution.weight, subject=replace(problem.subject, views=solution.views, law=solution.law)
     )

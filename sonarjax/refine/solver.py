@@ -1,7 +1,6 @@
-"""Levenberg–Marquardt over a ladder of blurs (the only importer of jaxopt).
-
-The template is rendered once an iteration, with its derivatives; in between, jaxopt minimises 1 − NCC of the template's
-linear model inside a trust region, which costs next to nothing beside a render.
+"""Levenberg–Marquardt at a sequence of blurs, coarse to fine (the only importer of jaxopt).
+The template and its derivatives are rendered once in each iteration. In between, jaxopt minimises 1 − NCC of the
+template's linear model inside a trust region, which costs next to nothing compared to a render.
 """
 
 from __future__ import annotations
@@ -31,43 +30,45 @@ from sonarjax.refine.template import (
 )
 
 INSIDE = 0.98
-"""Share of the bounds inside which a solution is an interior one."""
+"""A solution within this share of its bounds counts as an interior one."""
 INNER_STEPS = 4
 SETTLED_SHARE = 0.02
-"""Of the trust region: after a smaller step the next blur is begun, or the search ends."""
+"""Share of the trust region. After a smaller step the next blur begins, or the search ends."""
 POLISHED_SHARE = 1e-4
-"""As `SETTLED_SHARE`, where the last blur is polished."""
+"""As `SETTLED_SHARE`, while the last blur is polished."""
 
 STATIONARY_SHARE = 2.5e-3
-"""As `SETTLED_SHARE`: a solution with no larger step to go counts as stationary, and may have a derivative."""
+"""As `SETTLED_SHARE`. A solution whose remaining step is smaller counts as stationary, and may have a derivative."""
 
 
 class Search(NamedTuple):
-    """How one problem is searched: numbers only (of NumPy, or traced), so that all searches share compiled code."""
+    """How one problem is searched. It holds only numbers (NumPy's, or traced), so that all searches share
+    compiled code.
+    """
 
     bounds: Any
-    """Least and largest step (2, step): the free numbers [rad, m] and a bounce's energy [1]."""
+    """Least and largest step (2, step): of the free numbers [rad, m] and of the bounce's energy [1]."""
     blurs: Any
     """Standard deviations (blur,) of the blurs [range bins], coarse to fine."""
     iterations: Any
-    """Renders at each blur, at most."""
+    """Most renders at each blur."""
     polish: Any
-    """Further renders at the last blur, at most."""
+    """Most further renders at the last blur."""
     score_margin: Any
-    """Bins and beams around the template over which its NCC is reported."""
+    """Bins and beams around the template over which its NCC is computed."""
 
 
 class Found(NamedTuple):
     """The best of the iterations at the finest blur."""
 
     cost: Float[Array, ""]
-    """1 − NCC of the blurred images; infinite where nothing could be compared."""
+    """1 − NCC of the blurred images; infinite if nothing could be compared."""
     step: Float[Array, "step"]
-    """The free numbers [rad, m] from the start, and the bounce's energy for the echo."""
+    """The free numbers [rad, m] relative to the start, and the bounce's energy for the echo."""
     template: Float[Array, "range beam"]
-    """What is rendered there, see `draw`."""
+    """The fitted template there, see `draw`."""
     labels: Float[Array, "range beam"]
-    """The semantic template there, less the background's 0.5."""
+    """The semantic template there, minus the background's 0.5."""
     slope: Float[Array, "step range beam"]
     """The fitted template's derivatives by each number of `step`."""
     remaining: Float[Array, "step"]
@@ -75,20 +76,20 @@ class Found(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """Where a search ended."""
+    """The result of a search."""
 
     best: Found
     """The best point."""
     weight: Float[Array, "range beam"]
-    """1 where a pixel counted: it was measured, and lies inside the start's margin."""
+    """1 where a pixel counted: it was measured, and lies inside the margin of the start's template."""
     views: Int[Array, ""]
-    """Which template was fitted, see `VIEWS`: where either would do, the one that fits the start better."""
+    """Which template was fitted, see `VIEWS`; if either was allowed, the one that fits the start better."""
     law: EchoLaw
-    """How the echo is stored: of all laws that are tried the one that fits the start best."""
+    """How the echo is stored: of all laws that are tried, the one that fits the start best."""
     start_score: Float[Array, ""]
-    """NCC of the start's template, unblurred."""
+    """NCC of the start's template, without blur."""
     renders: Int[Array, ""]
-    """How often the template was rendered."""
+    """Number of renders of the template."""
 
 
 class _State(NamedTuple):
@@ -102,12 +103,12 @@ class _State(NamedTuple):
 
 
 def coarse_to_fine(problem: Problem, search: Search) -> Solution:
-    """Minimise 1 − NCC at each blur in turn, until steps are small or the renders are used up."""
+    """Minimise 1 − NCC at each blur in turn, until steps are small or no renders are left."""
     shape = (problem.image.shape[0], problem.image.shape[1])
     last = len(search.blurs) - 1
     ladder = jax.vmap(lambda sigma: make_blur(shape, sigma))(search.blurs)
     trust = jnp.asarray(trusts(problem.subject.free))
-    # A number that may not move takes no part.
+    # Numbers without room to move are left out.
     movable = jnp.where(search.bounds[1] > search.bounds[0], trust, 0.0)
     is_echo = problem.subject.views != VIEWS["semantic"]
 
@@ -119,7 +120,7 @@ def coarse_to_fine(problem: Problem, search: Search) -> Solution:
         views, law = jax.lax.cond(first & is_echo, choose, lambda: (solution.views, solution.law))
         subject = replace(problem.subject, views=views, law=law)
         drawn, slope = paint_with_slope(subject, layers, slopes, state.step[-1])
-        # Here rather than before the loop, which would compile the renderer twice.
+        # Computed inside the loop: before it, the renderer would be compiled a second time.
         weight = jnp.where(first, problem.weight * box_around(drawn, problem.margin), solution.weight)
         start_score = crop_score(problem.image, drawn, problem.weight, search.score_margin)
         change, cost = _linear_step(problem.image, weight, blur, drawn, slope, movable)
@@ -130,7 +131,7 @@ def coarse_to_fine(problem: Problem, search: Search) -> Solution:
         next_step = jnp.clip(state.step + change, *search.bounds)
         moved = jnp.abs((next_step - state.step) / trust).max()
         small = moved < jnp.where(finest & (search.polish > 0), POLISHED_SHARE, SETTLED_SHARE)
-        # One more look at the last place reached: it may be the best.
+        # One more render, because the last point reached may be the best.
         most = search.iterations + jnp.where(finest, search.polish + 1, 0)
         over = small | (state.renders_here + 1 >= most)
         return _State(
@@ -155,13 +156,13 @@ def begun(problem: Problem, search: Search) -> Solution:
     start = jnp.clip(jnp.zeros(len(problem.subject.free) + 1), *search.bounds)
     dark, flat = jnp.zeros(shape), jnp.zeros((len(start), *shape))
     none = Found(jnp.asarray(jnp.inf), start, dark, dark, flat, jnp.ones_like(start))
-    # Both templates are painted from the echo's views.
+    # The views of the echo serve for both templates.
     views = jnp.where(problem.subject.views != VIEWS["semantic"], VIEWS["echo"], VIEWS["semantic"])
     return Solution(none, problem.weight, views, problem.subject.law, jnp.zeros(()), jnp.zeros((), jnp.int32))
 
 
 def best_template(problem: Problem, layers: Array, search: Search) -> tuple[Int[Array, ""], EchoLaw]:
-    """The template of the start's `layers`, as in `VIEWS`, and the echo's law, whose NCC with the image is largest."""
+    """The template (see `VIEWS`) and echo law with the largest NCC with the image, given the `layers` at the start."""
 
     def score(subject: Subject) -> Array:
         drawn = paint(subject, layers, jnp.zeros(()))
@@ -178,9 +179,8 @@ def best_template(problem: Problem, layers: Array, search: Search) -> tuple[Int[
 def _linear_step(
     image: Array, weight: Array, blur: Blur, drawn: Array, slope: Array, trust: Array
 ) -> tuple[Array, Array]:
-    """The step that fits the template's linear model best in the trust region, and 1 − NCC before it.
-
-    Where nothing can be compared (no template, or no pixel of it measured) the step is zero and the cost infinite.
+    """The step that fits the template's linear model best within the trust region, and 1 − NCC before it.
+    If nothing can be compared (no template, or none of its pixels measured), the step is zero and the cost infinite.
     """
     rows = weight[::ROW_STRIDE]
     seen = normalised(blur(image * weight), rows)

@@ -1,8 +1,7 @@
-"""What refinement fits to an image: a template rendered at a pose, and its derivatives by all that is fitted.
-
+"""What refinement fits to an image: a template rendered at a pose, and its derivatives by all fitted numbers.
 The `semantic` template is the one that the paper matches. The `echo` is the frame as a device would store it: each
-facet as bright as eq. 2 makes it, and what comes by way of the floor, as bars inside the shadow. Both come from one
-rendered view of the object; the echo needs a second one, of its mirror image in the floor.
+facet as bright as eq. 2 makes it, and the echoes by way of the floor, which appear as bars inside the shadow. Both come
+from one rendered view of the object. The echo needs a second view, that of its mirror image in the floor.
 """
 
 from __future__ import annotations
@@ -28,33 +27,32 @@ from sonarjax.sonar import Sonar
 Template = Literal["semantic", "echo", "either"]
 EITHER = 0
 VIEWS: dict[str, int] = {"semantic": 1, "echo": 2, "either": EITHER}
-"""How many views of the object each template takes; EITHER until a search has chosen."""
+"""Number of views of the object that each template needs; EITHER until a search has chosen."""
 BOUNCE_BOUNDS: dict[str, tuple[float, float]] = {"semantic": (0.0, 0.0), "echo": (0.0, 1.0), "either": (0.0, 1.0)}
-"""Bounds of the energy that a bounce on the floor leaves [1], which is fitted with yaw, x and y."""
+"""Bounds of the energy left after a bounce on the floor [1], which is fitted together with yaw, x and y."""
 POSE = len(ON_FLOOR)
-"""Numbers of the usual step that move the object: yaw, x and y. The bounce's energy follows them."""
-BACKGROUND = 0.5  # of the semantic image
+"""How many numbers of the usual step move the object: yaw, x and y. The bounce's energy follows them."""
+BACKGROUND = 0.5  # grey of the semantic map's background
 GAINS_DB, NOISES, EXPONENTS = (2.0, 8.0, 14.0), (0.03, 0.2), (0.06, 0.25, 0.5)
-"""Gains [dB], noises and exponents that are tried in all combinations."""
+"""Gains [dB], noises and exponents of the echo law, tried in all combinations."""
 FLOOR_PATH = SensorModel().floor_path  # of the echo that comes by way of the floor: on both ways
 
 
 @record
 class EchoLaw:
-    """How a device stores an echo: what decides how bright it is beside floor and shadow."""
+    """How a device stores an echo: what decides its brightness relative to floor and shadow."""
 
     gain: Float[Array, "*batch"]
-    """Backscatter of the object relative to the floor's [1]."""
+    """Ratio of the object's backscatter to the floor's [1]."""
     noise: Float[Array, "*batch"]
-    """Energy in a shadow relative to the floor's [1]."""
+    """Ratio of the energy in a shadow to the floor's [1]."""
     exponent: Float[Array, "*batch"]
-    """Power of energy that is stored [1]; a small one stands for a logarithm."""
+    """Power of energy that is stored [1]; a small power stands for a logarithm."""
 
 
 def echo_laws() -> EchoLaw:
-    """The laws (law,) that are tried on a frame; the first is the nominal device's.
-
-    Their ranges are those of the devices that the package draws (`sensor.model`).
+    """The laws (law,) that are tried on a frame; the first is that of the nominal device.
+    They span the devices that the package draws (`sensor.model`).
     """
     device = SensorModel()
     tried = [(device.object_gain, device.noise, device.exponent), *itertools.product(GAINS_DB, NOISES, EXPONENTS)]
@@ -63,24 +61,24 @@ def echo_laws() -> EchoLaw:
 
 
 def nominal_law() -> EchoLaw:
-    """The nominal device's law: the first of those that are tried."""
+    """The law of the nominal device: the first of those that are tried."""
     return jax.tree.map(lambda v: jnp.asarray(v[0]), echo_laws())
 
 
 @record
 class Subject:
-    """What is drawn: all that a template depends on besides the step that is fitted."""
+    """What is rendered: everything on which a template depends, besides the fitted step."""
 
     mesh: Mesh
     """The object."""
     sonar: Sonar
-    """What looks at it."""
+    """The sonar that looks at it."""
     start: Pose
-    """Where the search starts; what is not `free` is kept."""
+    """Where the search starts; numbers that are not `free` stay there."""
     window: Window
-    """Which part of the frame is drawn."""
+    """Which part of the frame is rendered."""
     sharpness: Float[Array, ""]
-    """How sharply a semantic template is labelled: see `labelled`."""
+    """How sharply pixels of a semantic template are assigned to one class, see `labelled`."""
     views: Int[Array, ""]
     """1 for the semantic template, 2 for the echo, see `VIEWS`."""
     law: EchoLaw
@@ -88,14 +86,14 @@ class Subject:
     quality: RenderQuality = static()
     """How finely it is rendered."""
     free: tuple[str, ...] = static(default=ON_FLOOR)
-    """The numbers of the pose that a step holds, in the order of `free.NUMBERS`."""
+    """The numbers of the pose that a step changes, in the order of `free.NUMBERS`."""
 
 
 def labelled(share: Float[Array, "*batch"], sharpness: Float[Array, ""]) -> Float[Array, "*batch"]:
-    """What a label image makes of a class's share of a pixel: all or nothing, softened to a logistic step at one half.
-
-    Without it a beam that an object half covers pulls at the estimate although its label says nothing but 'all'; with
-    it the yaw error on labels falls to half. `sharpness` 0 leaves the share as it is.
+    """Turn a class's share of a pixel into what a label image shows: all or nothing, softened to a logistic step at one
+    half.
+    Without this, a beam that is half covered pulls at the estimate, although its label only says 'all'. With it the yaw
+    error on labels is halved. `sharpness` 0 leaves the share unchanged.
     """
     least = jax.nn.sigmoid(-sharpness / 2)
     rescaled = (jax.nn.sigmoid(sharpness * (share - 0.5)) - least) / jnp.where(sharpness > 0, 1 - 2 * least, 1.0)
@@ -103,11 +101,10 @@ def labelled(share: Float[Array, "*batch"], sharpness: Float[Array, ""]) -> Floa
 
 
 def draw(subject: Subject, step: Float[Array, "step"], reverse: bool = False) -> Float[Array, "range beam"]:
-    """The window's template at `step` from the start, as what it differs from the bare floor's grey value.
-
-    `step` is the free numbers of the pose [rad, m], and the energy that a bounce on the floor leaves [1], for the echo.
-    By forward mode it is differentiated as it is; with `reverse` also by reverse mode, at the price of both views every
-    time.
+    """The window's template at `step` from the start, as its difference from the grey of the bare floor.
+    `step` holds the free numbers of the pose [rad, m] and, for the echo, the energy left after a bounce on the floor
+    [1]. Forward-mode differentiation always works. With `reverse`, reverse mode works too, at the cost of always
+    rendering both views.
     """
     count = len(subject.free)
     return paint(subject, render_layers(subject, step[:count], reverse), step[count])
@@ -116,7 +113,7 @@ def draw(subject: Subject, step: Float[Array, "step"], reverse: bool = False) ->
 def layers_with_slope(
     subject: Subject, step: Float[Array, "step"]
 ) -> tuple[Float[Array, "view layer range beam"], Float[Array, "pose view layer range beam"]]:
-    """`render_layers` and its derivatives by each free number of the pose (forward mode)."""
+    """`render_layers`, and its forward-mode derivatives by each free number of the pose."""
     count = len(subject.free)
 
     def render(pose: Array) -> Array:
@@ -128,7 +125,9 @@ def layers_with_slope(
 def paint_with_slope(
     subject: Subject, layers: Array, slopes: Array, bounce: Float[Array, ""]
 ) -> tuple[Float[Array, "range beam"], Float[Array, "step range beam"]]:
-    """`paint` and its derivatives by each number of a step: the pose's from the layers' `slopes`, and the bounce's."""
+    """`paint`, and its derivatives by each number of a step: the pose's, from the `slopes` of the layers, and
+    the bounce's.
+    """
     slopes = jnp.concatenate([slopes, jnp.zeros_like(slopes[:1])])
     by_bounce = jnp.eye(len(slopes))[-1]
 
@@ -142,8 +141,7 @@ def render_layers(
     subject: Subject, step: Float[Array, "pose"], reverse: bool = False, floor_path: Any = FLOOR_PATH
 ) -> Float[Array, "view layer range beam"]:
     """Echo, highlight and shadow of the object at `step` (pose,) [rad, m], and of its mirror image in the floor.
-
-    The mirror image is left dark where the template takes one view. `reverse` as in `draw`, `floor_path` [1] as in
+    The mirror image is left dark if the template takes only one view. `reverse` is as in `draw`, `floor_path` [1] as in
     `sensor.SensorModel`.
     """
     views = _views(subject, pose_at(subject.start, step, subject.free), floor_path)
@@ -154,7 +152,7 @@ def render_layers(
         lifted = subject.sonar.replace(height=height, elevation_aperture=aperture)
         return jnp.stack(render_echo(placed, Pose(z=lift), lifted, subject.window, subject.quality, subject.views > 1))
 
-    # One view after the other, so that the renderer is compiled once.
+    # Views are rendered one after the other, so that the renderer is compiled once.
     if reverse:
         return jax.lax.map(seen, views)
     nothing = jnp.zeros((2, 3, *subject.window.shape))
@@ -166,14 +164,14 @@ def render_layers(
 def paint(
     subject: Subject, layers: Float[Array, "view layer range beam"], bounce: Float[Array, ""]
 ) -> Float[Array, "range beam"]:
-    """The template that the layers of `render_layers` make, with the energy that a `bounce` on the floor leaves [1]."""
+    """The template from the layers of `render_layers`, given the energy that a `bounce` on the floor leaves [1]."""
     (echo, highlight, shadow), (bounced, *_) = layers
     grey = semantic_image(*(labelled(v, subject.sharpness) for v in (highlight, shadow))) - BACKGROUND
     return jnp.where(subject.views > 1, _stored_echo(subject, echo + bounce * bounced, shadow), grey)
 
 
 def semantic_template(layers: Float[Array, "view layer range beam"]) -> Float[Array, "range beam"]:
-    """The semantic image of the layers of `render_layers`, less the background's 0.5; not sharpened."""
+    """The semantic map from the layers of `render_layers`, minus the background's 0.5; not sharpened."""
     _, highlight, shadow = layers[0]
     return semantic_image(highlight, shadow) - BACKGROUND
 
@@ -184,7 +182,7 @@ def _views(subject: Subject, pose: Pose, floor_path: Any) -> tuple[Array, ...]:
     mirrored, lift, lifted = without_floor(bounce_mesh(mesh, pose, sonar, 0.0, floor_path), sonar)
     as_it_is = pose.to_ground(mesh.vertices), mesh.faces, 0.0, sonar.height, sonar.elevation_aperture
     bounced = mirrored.vertices, mirrored.faces, lift.z, lifted.height, lifted.elevation_aperture
-    # The mirror image's own shadow is not looked at.
+    # The shadow of the mirror image is not used.
     return tuple(jnp.stack([jnp.asarray(v) for v in pair]) for pair in zip(as_it_is, bounced, strict=True))
 
 

@@ -1,4 +1,4 @@
-"""How well a frame tells the free numbers of a pose: their covariance, and which of them it determines at all."""
+"""How well a frame determines the free numbers of a pose: their covariance, and which are determined at all."""
 
 from __future__ import annotations
 
@@ -13,42 +13,43 @@ from sonarjax.refine.objective import normalised
 from sonarjax.refine.solver import Found
 
 CORRELATED_BEAMS = 5
-"""Beams over which residuals err together, less and less, in the covariance."""
+"""Number of beams over which residuals are correlated, ever less, in the covariance."""
 OBSERVABLE = 0.5
-"""Most of the prior's standard deviation that is left of a number that the frame determines [1]."""
+"""A number is determined if at most this share of its prior's standard deviation is left [1]."""
 FINEST = 40.0
-"""No number is taken to be known better than to this part of its prior, of usual bounds 2 mm and 0.6° [1]: on noisy
-frames templates are not that exact, and a facet of a tessellated body would pass for an edge that tells its yaw."""
+"""No number is assumed to be known better than its prior's standard deviation divided by this [1], with the
+usual bounds 2 mm and 0.6°. On noisy frames templates are not more exact, and a facet of a tessellated body
+would pass for an edge that determines yaw.
+"""
 LEAST_SHARE = 1e-3
-"""Directions that hold a smaller share of all information say nothing about how noisy the rest is [1]."""
+"""Directions with a smaller share of the information are not used to judge how noisy it is [1]."""
 
 
 class Normal(NamedTuple):
     """The normal equations of one frame at a solution, in units of the image's norm."""
 
     information: Float[Array, "step step"]
-    """JᵀJ, J of the image fitted by gain·template + offset."""
+    """JᵀJ, where J is the Jacobian of the image fitted by gain·template + offset."""
     noise: Float[Array, "step step"]
-    """Covariance of Jᵀ·residual: its outer products summed over pairs of beams."""
+    """Covariance of Jᵀ·residual: its outer products, summed over pairs of beams."""
 
 
 class Observability(NamedTuple):
     """Which numbers of a step the frames determine."""
 
     observable: Bool[Array, "step"]
-    """Whether they determine each of them."""
+    """Which numbers they determine."""
     singular_values: Float[Array, "pose"]
-    """Of what they tell about the pose's numbers, in units of their priors, largest first."""
+    """Singular values of what the frames say about the pose's numbers, in units of their priors, largest first."""
 
 
 def normal_equations(
     image: Float[Array, "range beam"], weight: Float[Array, "range beam"], found: Found
 ) -> Normal:  # fmt: skip
-    """The normal equations of the image fitted by gain·template + offset.
-
-    `noise` sums the outer products of the Jᵀr of pairs of beams, those `CORRELATED_BEAMS` and more apart left out
-    (Newey and West, Econometrica 55, 1987): residuals along a beam and of its neighbours err together where an edge is
-    a little off, so the plain σ²(JᵀJ)⁻¹ is far too small.
+    """The normal equations of the image (range, beam) fitted by gain·template + offset.
+    `noise` sums the outer products of Jᵀr over pairs of beams less than `CORRELATED_BEAMS` apart (Newey and West,
+    Econometrica 55, 1987). Where an edge is slightly off, residuals along a beam and in its neighbours err together, so
+    the plain σ²(JᵀJ)⁻¹ is far too small.
     """
     drawn = found.template
     fitted, seen = normalised(drawn, weight), normalised(image, weight)
@@ -68,9 +69,14 @@ def error_covariance(
     normal: Normal, prior: Float[Array, "step"], held: Bool[Array, "step"], known: Bool[Array, ""]
 ) -> Float[Array, "step step"]:
     """Covariance (step, step) of the errors of a step; infinite on the diagonal where nothing is known.
+    For fitted numbers it is (JᵀJ)⁻¹·B·(JᵀJ)⁻¹.
 
-    (JᵀJ)⁻¹·B·(JᵀJ)⁻¹ of what was fitted. `held` (step,) marks numbers that stayed at their start: their errors are the
-    `prior`'s (step,), standard deviations, and pass on to the others. Nothing is known where `known` is false.
+    Args:
+        normal: The normal equations.
+        prior: Standard deviations of the prior (step,).
+        held: Numbers that were held at their start (step,). Their errors are those of the prior, and pass on to the
+            others.
+        known: False if nothing is known.
     """
     information, noise = normal
     size = len(information)
@@ -88,10 +94,9 @@ def error_covariance(
 
 def observability(normal: Normal, prior: Float[Array, "step"], known: Bool[Array, ""], count: int) -> Observability:
     """Which numbers are determined, from the information in units of the `prior` (step,), standard deviations.
-
-    The first `count` numbers are the pose's. None is determined where `known` is false.
-    The residuals err together: one factor says how often the information counts what the frame tells, as in
-    `calibrate`; a sandwich for each direction would be noise where there is hardly any information.
+    The first `count` numbers are the pose's. None is determined if `known` is false. Because residuals err together,
+    the information overstates what the frame says. A single factor corrects this, as in `calibrate`; a sandwich
+    estimate for each direction would be mere noise where there is hardly any information.
     """
     scale = prior[:, None] * prior
     information, noise = (jnp.nan_to_num(v * scale) for v in normal)

@@ -1,7 +1,7 @@
-"""One pose from several views: joint Levenberg–Marquardt over frames of one standing object from known sonar poses.
-
-Each view's normal equations are made in its own sonar's frame and turned into the common one: planar sonar poses make
-that a constant matrix. The bounce's energy is each view's own. Everything but the renders is small and on the host.
+"""One pose from several views: joint Levenberg–Marquardt over frames of one object at rest from known sonar poses.
+Each view's normal equations are computed in its own sonar's frame and transformed to the common frame, which for planar
+sonar poses is a constant matrix. Each view has its own bounce energy. Everything except the renders is small and stays
+on the host.
 """
 
 from __future__ import annotations
@@ -41,14 +41,14 @@ from sonarjax.sonar import Sonar
 LEAST_GAIN = 2e-4
 """A step that lowers the cost by a smaller share is the last."""
 MOST_DAMPING = 1e3
-"""Damping at which no step is to be had."""
+"""At this damping the search for a better step is given up."""
 
 
 class Fixed(NamedTuple):
-    """What a search keeps of a view from its first render on."""
+    """What a search keeps of a view after its first render."""
 
     weight: Any
-    """(range, beam) of the window: 1 where a pixel counts."""
+    """1 where a pixel counts, in the window (range, beam)."""
     views: Any
     """Which template is fitted, see `VIEWS`."""
     law: Any
@@ -56,39 +56,39 @@ class Fixed(NamedTuple):
 
 
 class View(NamedTuple):
-    """One view's part at a point."""
+    """One view's contribution at a point."""
 
     hessian: Any
-    """JᵀJ of the six numbers in the view's frame, and of the bounce's energy (7, 7)."""
+    """JᵀJ for the six numbers in the view's frame and the bounce's energy (7, 7)."""
     gradient: Any
     """Jᵀ·residual (7,)."""
     cost: Any
     """1 − NCC of the blurred images."""
     score: Any
-    """NCC (eq. 4) of the template over its own box with the bank's margin."""
+    """NCC (eq. 4) of the template, over its own box with the bank's margin."""
     information: Any
-    """As in `Normal`, unblurred (7, 7)."""
+    """As in `Normal`, without blur (7, 7)."""
     noise: Any
     """As in `Normal` (7, 7)."""
 
 
 class Joint(NamedTuple):
-    """Where a joint search ended."""
+    """The result of a joint search."""
 
     pose: Pose
-    """In the common frame."""
+    """The pose in the common frame."""
     covariance: np.ndarray
-    """Of the free numbers' errors (free, free)."""
+    """Covariance of the free numbers' errors (free, free)."""
     score: float
     """Mean NCC of the views."""
     start_score: float
     """The same at the start."""
     converged: bool
-    """Whether the last step was small, inside the bounds."""
+    """True if the last step was small and inside the bounds."""
     observable: np.ndarray
     """Whether the frames determine each free number (free,)."""
     singular_values: np.ndarray
-    """Of what they tell (free,), largest first."""
+    """Singular values of what they say (free,), largest first."""
 
 
 @partial(jax.jit, static_argnames=("size", "quality"))
@@ -97,9 +97,8 @@ def linearise(
     bounce: Array, sigma: Array, sharpness: Array, margin: Array, fixed: tuple[Any, ...], fresh: Array, *,
     size: WindowSize, quality: RenderQuality,
 ) -> tuple[tuple[Array, ...], tuple[Any, ...]]:  # fmt: skip
-    """The fields of a `View` at `pose` in the view's frame, and of its `Fixed`, made anew where `fresh`.
-
-    The window lies around `place`, where `room` is the lift [m], roll and pitch [rad] that it has room for.
+    """The fields of a `View` at `pose` in the view's frame, and of its `Fixed`, which is made anew if `fresh`.
+    The window lies around `place`, and has room for the lift [m], roll and pitch [rad] in `room`.
     """
     roomy = leaning_room(mesh, *room)
     window = place_window(size, roomy, sonar, place.x, place.y, SLACK_M)
@@ -134,7 +133,7 @@ def linearise(
         jnp.einsum("irb,jrb->ij", jacobian, jacobian), jnp.einsum("irb,rb->i", jacobian, off), cost,
         crop_score(part, drawn, measured, score_margin), *normal,
     )  # fmt: skip
-    # Plain tuples: the CPU's engine keeps compiled code in files, and knows no type of ours.
+    # Plain tuples, because `CpuEngine` stores compiled code in files and does not know the types of this file.
     return tuple(jnp.nan_to_num(v, posinf=jnp.inf) for v in numbers), (
         inside,
         views,
@@ -143,30 +142,30 @@ def linearise(
 
 
 class Job(NamedTuple):
-    """What stays the same throughout a joint search; the window lies around the start."""
+    """What stays the same during a joint search; the window lies around the start."""
 
     images: np.ndarray
-    """(view, range, beam)."""
+    """Frames (view, range, beam)."""
     weights: np.ndarray
-    """(view, range, beam): 1 where a pixel was measured."""
+    """1 where a pixel was measured (view, range, beam)."""
     mesh: Mesh
     """The object."""
     sonar: Sonar
-    """What looks at it, the same in all views."""
+    """The sonar, the same in all views."""
     sonar_poses: np.ndarray
     """x, y [m] and heading [rad] of each sonar in the common frame (view, 3)."""
     free: tuple[str, ...]
     """The free numbers."""
     config: RefineConfig
-    """How it is searched."""
+    """How to search."""
     size: WindowSize
     """The window that is rendered."""
     engine: Engine
-    """Runs what is compiled."""
+    """Runs the compiled functions."""
 
 
 class _Sum(NamedTuple):
-    """All views' normal equations in the common frame: the free numbers, then each view's bounce."""
+    """The normal equations of all views in the common frame: the free numbers, then each view's bounce."""
 
     hessian: np.ndarray
     gradient: np.ndarray
@@ -176,7 +175,9 @@ class _Sum(NamedTuple):
 
 
 def refine_jointly(job: Job, start: Pose) -> Joint:
-    """The pose in the common frame that all views fit best, from one `start`; what is not observable stays there."""
+    """The pose in the common frame that fits all views best, from one `start`; numbers that are not observable
+    stay there.
+    """
     held = np.zeros(len(job.free), bool)
     found, told = _search(job, start, held)
     if told is not None and not told[0].all():
@@ -185,7 +186,7 @@ def refine_jointly(job: Job, start: Pose) -> Joint:
 
 
 def _search(job: Job, start: Pose, held: np.ndarray) -> tuple[Joint, tuple[np.ndarray, np.ndarray]]:
-    """One search with some numbers held: where it ended, and which numbers are observable, with singular values."""
+    """One search with some numbers held: its result, and which numbers are observable, with singular values."""
     config, count, views = job.config, len(job.free), len(job.images)
     bounds = np.array([config.bound(name) for name in job.free])
     low, high = BOUNCE_BOUNDS[config.template]
@@ -228,7 +229,7 @@ def _box(bounds: np.ndarray, low: float, high: float, views: int) -> np.ndarray:
 
 
 def _step(here: _Sum, movable: np.ndarray, trust: np.ndarray, damping: float) -> np.ndarray:
-    """The damped Gauss–Newton step of what may move, in units of the trust region, shortened to it."""
+    """The damped Gauss–Newton step of the movable numbers, in units of the trust region and shortened to it."""
     scaled = (here.hessian * trust[:, None] * trust)[np.ix_(movable, movable)]
     ridge = damping * np.diag(np.diag(scaled)) + 1e-7 * (1 + np.trace(scaled)) * np.eye(len(scaled))
     share = np.zeros(len(trust))
@@ -238,7 +239,7 @@ def _step(here: _Sum, movable: np.ndarray, trust: np.ndarray, damping: float) ->
 
 
 def _evaluator(job: Job, start: Pose) -> Callable[[np.ndarray, float], _Sum]:
-    """A function of a point (free numbers, bounces) and a blur [range bins]: the sum over all views there."""
+    """A function of a point (free numbers, bounces) and a blur [range bins] that gives the sum over all views."""
     config, count = job.config, len(job.free)
     places = [in_view(start, sonar) for sonar in job.sonar_poses]
     at = {"z": float(start.z), "roll": abs(float(start.roll)), "pitch": abs(float(start.pitch))}
@@ -285,7 +286,9 @@ def _summed(parts: Sequence[View], free: tuple[str, ...], sonar_poses: np.ndarra
 
 
 def turned(heading: float) -> Float[np.ndarray, "number number"]:
-    """Derivatives (number, number) of the six numbers in the frame of a sonar of `heading` [rad] by the common ones."""
+    """Derivatives (number, number) of the six numbers in the frame of a sonar at `heading` [rad] by those in
+    the common frame.
+    """
     matrix, x, y = np.eye(len(ALL)), ALL.index("x"), ALL.index("y")
     c, s = np.cos(heading), np.sin(heading)
     matrix[np.ix_([x, y], [x, y])] = [[c, s], [-s, c]]
@@ -293,14 +296,14 @@ def turned(heading: float) -> Float[np.ndarray, "number number"]:
 
 
 def in_view(pose: Pose, sonar: np.ndarray) -> Pose:
-    """A pose of the common frame in the ground frame of a `sonar` at x, y [m] with a heading [rad]."""
+    """A pose of the common frame, expressed in the ground frame of a `sonar` at x, y [m] with a heading [rad]."""
     x, y = np.asarray(pose.x) - sonar[0], np.asarray(pose.y) - sonar[1]
     c, s = np.cos(sonar[2]), np.sin(sonar[2])
     return replace(pose, **_fields(x=c * x + s * y, y=c * y - s * x, yaw=np.asarray(pose.yaw) - sonar[2]))
 
 
 def in_common(pose: Pose, sonar: np.ndarray) -> Pose:
-    """A pose of the ground frame of a `sonar` at x, y [m] with a heading [rad], in the common frame."""
+    """A pose of the ground frame of a `sonar` at x, y [m] with a heading [rad], expressed in the common frame."""
     x, y = np.asarray(pose.x), np.asarray(pose.y)
     c, s = np.cos(sonar[2]), np.sin(sonar[2])
     return replace(
@@ -320,9 +323,9 @@ def _fields(**values: Any) -> dict[str, Any]:
 
 
 def check_views(images: Any, sonar_poses: Pose, start: Pose, sonar: Sonar) -> np.ndarray:
-    """x, y [m] and heading [rad] (view, 3) of the sonars. Raises SonarjaxError where views, poses or start do not fit.
-
-    `images` are (view, range, beam).
+    """x, y [m] and heading [rad] (view, 3) of the sonars; `images` are (view, range, beam).
+    Raises:
+        SonarjaxError: Images, poses or start do not fit together.
     """
     if np.ndim(images) != 3 or np.shape(images)[-2:] != sonar.shape:
         raise SonarjaxError(f"image: expected shape (view, {sonar.n_ranges}, {sonar.n_beams}), got {np.shape(images)}")

@@ -19,7 +19,7 @@ from sonarjax.sonar import Sonar
 
 @record
 class YawEstimate:
-    """A refined hypothesis; every field has the batch shape of the starts, and none is ever NaN."""
+    """A refined hypothesis. Every field has the batch shape of the starts, and none is ever NaN."""
 
     yaw: Float[Array, "*batch"]
     """Absolute yaw [rad], in [0, 2π)."""
@@ -29,17 +29,19 @@ class YawEstimate:
     """Position to port [m]."""
     yaw_std: Float[Array, "*batch"]
     """Standard deviation of yaw [rad] from the curvature and the residuals of each beam, given the right basin.
-
-    On labels of a render it has the size of the error; errors that neighbouring beams share make it too small.
-    Infinite where nothing could be compared."""
+    On labels of a render it is as large as the errors; errors that neighbouring beams share make it too small. Infinite
+    if nothing could be compared.
+    """
     score: Float[Array, "*batch"]
-    """NCC (eq. 4) of the refined template, over its own box with the bank's margin; 0 where there is none."""
+    """NCC (eq. 4) of the refined template, over its own box with the bank's margin; 0 if there is no template."""
     start_score: Float[Array, "*batch"]
     """NCC of the start's template, over its own box with the same margin."""
     converged: Bool[Array, "*batch"]
-    """True when the last step was small and the result is inside its bounds."""
+    """True if the last step was small and the result lies inside its bounds."""
     determined: Bool[Array, "*batch"]
-    """True when it is polished to an interior minimum, and so has a derivative; without polishing always False."""
+    """True if the result was polished to an interior minimum, and so has a derivative; always False without
+    polishing.
+    """
 
     @property
     def pose(self) -> Pose:
@@ -58,13 +60,22 @@ def refine_yaw(
     window: WindowSize | None = None,
     engine: Engine = PLAIN,
 ) -> YawEstimate:
-    """Refine yaw, x and y of the object from `start` by Levenberg–Marquardt on 1 − NCC of the rendered template.
+    """Refine yaw, x and y of an object on the floor by Levenberg–Marquardt on 1 − NCC of the rendered template.
+    This is `refine_pose` with these three numbers free, with one simplification: a yaw that the frame does not
+    determine is not put back to its start. Yaw, x and y have derivatives as the pose of `refine_pose` has.
 
-    It is `refine_pose` with these three numbers free, and in one thing simpler: a yaw that the frame does not determine
-    is not put back to its start. `image` (range, beam), `mask` of its shape, `start` and `window` are as there; yaw, x
-    and y have derivatives as the pose has.
+    Args:
+        image: The frame (range, beam), with batch axes as in `refine_pose`.
+        mesh: The object.
+        sonar: The sonar.
+        start: Where to start [m, rad], as in `refine_pose`.
+        mask: True where a pixel was measured; the image's shape.
+        config: How to search.
+        window: Size of the window to render, as in `refine_pose`.
+        engine: Runs the compiled functions.
 
-    Raises SonarjaxError when the shapes do not fit the sonar.
+    Raises:
+        SonarjaxError: The shapes do not fit the sonar.
     """
     return refine_and_draw(image, mesh, sonar, start, mask, config, window, engine)[0]
 
@@ -73,7 +84,7 @@ def refine_and_draw(
     image: Any, mesh: Mesh, sonar: Sonar, start: Pose, mask: Any, config: RefineConfig, window: WindowSize | None,
     engine: Engine,
 ) -> tuple[YawEstimate, Drawn]:  # fmt: skip
-    """As `refine_yaw`, with what was drawn at the solutions."""
+    """As `refine_yaw`, together with the templates at the solutions."""
     found, drawn = search_pose(image, mesh, sonar, start, mask, config, window, engine, free=ON_FLOOR, hold=False)
     return _yaw_alone(found), drawn
 

@@ -1,7 +1,7 @@
-"""All yaws that one frame allows: a mixture of modes with weights, and the smallest set that holds a stated share.
-
-A symmetric object looks the same at several yaws, and one that is nearly symmetric does so in noise. One yaw and its
-error bar then say too much. Modes are the refined hypotheses, and the bank's other peaks, which nobody refined.
+"""All yaws that one frame allows: a mixture of weighted modes, and the smallest set that holds a given probability.
+A symmetric object looks the same at several yaws, and with noise so does a nearly symmetric one. A single yaw with an
+error bar then claims too much. The modes are the refined hypotheses, and the other peaks of the bank's scores, which
+were not refined.
 """
 
 from __future__ import annotations
@@ -19,9 +19,11 @@ CIRCLE = 2 * math.pi
 SAME_YAW = math.radians(8.0)
 """Refined hypotheses closer than this are one [rad]."""
 UNIFORM_STD = CIRCLE / math.sqrt(12)
-"""Standard deviation of a yaw of which nothing is known [rad]."""
+"""Standard deviation of a completely unknown yaw [rad]."""
 REACH, STEPS, COARSE = 4.0, 64, 720
-"""Density is sampled up to so many standard deviations of a mode's tails, in so many steps a side, and all around."""
+"""The density is sampled up to `REACH` standard deviations from a mode, in `STEPS` steps on each side, and in
+`COARSE` steps around the circle.
+"""
 
 
 class YawMode(NamedTuple):
@@ -32,7 +34,7 @@ class YawMode(NamedTuple):
     yaw_std: float
     """Standard deviation [rad], given that this mode is the right one."""
     weight: float
-    """Probability that it is [1], given that the target is shown; those of all modes add up to 1."""
+    """Probability of this mode [1], given that the target is shown; the weights of all modes sum to 1."""
 
 
 class YawInterval(NamedTuple):
@@ -41,32 +43,34 @@ class YawInterval(NamedTuple):
     low: float
     """Where it begins [rad], in [0, 2π)."""
     high: float
-    """Where it ends [rad]: above `low`, and so above 2π where it goes across 0."""
+    """Where it ends [rad]: above `low`, hence above 2π if it crosses 0."""
     weight: float
     """Probability of a yaw in it [1]."""
 
 
 class YawWeights(NamedTuple):
-    """How hypotheses are weighed against each other, and how heavy the tails of their errors are."""
+    """How hypotheses are weighted against each other, and how heavy the tails of their errors are."""
 
     softness: float
-    """By how much a refined hypothesis' score must be lower to be e times less likely [NCC]."""
+    """Difference in score that makes a refined hypothesis e times less likely [NCC]."""
     slope: float
-    """By how much lower the score of a peak that was not refined is expected, for each of its bank's score [1]."""
+    """Expected loss in refined score of a peak that was not refined, for each unit by which its bank score is
+    lower [1].
+    """
     unrefined: float
-    """What is taken off the score of such a peak besides [NCC]."""
+    """Further deduction from the score of such a peak [NCC]."""
     tail: float
     """Share of errors that are `tail_scale` times as large [1]."""
     tail_scale: float
-    """Factor on their standard deviations [1]."""
+    """Factor on the standard deviations of those errors [1]."""
 
 
 YAW_WEIGHTS = YawWeights(softness=0.02, slope=0.3, unrefined=0.02, tail=0.0, tail_scale=2.0)
-"""Fitted to validation frames, whose devices and objects are in no test (experiments/fit_yaw_set.py)."""
+"""Fitted to validation frames, whose devices and objects occur in no test (experiments/fit_yaw_set.py)."""
 
 
 def shares(scores: np.ndarray, softness: float) -> np.ndarray:
-    """Probabilities (hypothesis,) of hypotheses with `scores` (hypothesis,), of which one is right."""
+    """Probabilities (hypothesis,) of hypotheses with `scores` (hypothesis,), exactly one of which is right."""
     parts = np.exp((scores - scores.max()) / softness)
     return parts / parts.sum()
 
@@ -76,11 +80,11 @@ class YawSet:
     """The yaws that a frame allows, given that it shows the target."""
 
     modes: tuple[YawMode, ...]
-    """Separate modes, the likeliest first."""
+    """Separate modes, the most likely first."""
     tail: float = 0.0
     """Share of a mode's errors that are `tail_scale` times as large [1]."""
     tail_scale: float = 1.0
-    """Factor on their standard deviations [1]."""
+    """Factor on the standard deviations of those errors [1]."""
 
     def density(self, yaw: np.ndarray) -> np.ndarray:
         """Probability density [1/rad] at yaws (*batch) [rad]."""
@@ -95,11 +99,12 @@ class YawSet:
         return total
 
     def intervals(self, coverage: float = 0.95) -> tuple[YawInterval, ...]:
-        """The smallest set of yaws that holds the share `coverage`, as disjoint intervals, the likeliest first.
-
+        """The smallest set of yaws that has the probability `coverage`, as disjoint intervals, the most likely first.
         It is the set of highest density (Hyndman, Computing and Graphing Highest Density Regions, The American
-        Statistician 50, 1996), to a few hundredths of a standard deviation. Raises SonarjaxError for a coverage that is
-        not between 0 and 1.
+        Statistician 50, 1996), accurate to a few hundredths of a standard deviation.
+
+        Raises:
+            SonarjaxError: The coverage is not between 0 and 1.
         """
         if not 0 < coverage < 1:
             raise SonarjaxError(f"coverage: expected a share between 0 and 1, got {coverage}")
@@ -114,11 +119,11 @@ class YawSet:
         return _joined(edges, inside, mass / mass.sum())
 
     def holds(self, yaw: float, coverage: float = 0.95) -> bool:
-        """Whether a yaw [rad] is in the set of `coverage`. Raises SonarjaxError as `intervals` does."""
+        """True if a yaw [rad] is in the set of `coverage`. Raises SonarjaxError as `intervals` does."""
         return any((yaw - one.low) % CIRCLE <= one.high - one.low for one in self.intervals(coverage))
 
     def _edges(self) -> np.ndarray:
-        """Edges of the cells (cell + 1,) [rad] over one circle, narrow where a mode is."""
+        """Edges of the cells (cell + 1,) [rad] over one circle; cells are narrow near a mode."""
         steps = np.linspace(-REACH, REACH, 2 * STEPS + 1)
         parts = [np.linspace(0, CIRCLE, COARSE + 1)]
         for mode in self.modes:
@@ -128,7 +133,7 @@ class YawSet:
 
 
 def _joined(edges: np.ndarray, inside: np.ndarray, mass: np.ndarray) -> tuple[YawInterval, ...]:
-    """The cells (cell,) that are `inside` as intervals; those at both ends of the circle are one."""
+    """The cells (cell,) that are `inside`, as intervals; those at both ends of the circle are joined."""
     change = np.diff(np.concatenate([[0], inside.astype(int), [0]]))
     found = [
         YawInterval(float(edges[a]), float(edges[b]), float(mass[a:b].sum()))
@@ -144,9 +149,14 @@ def make_yaw_set(
     yaws: Sequence[float], stds: Sequence[float], scores: Sequence[float], curve: np.ndarray, curve_yaws: np.ndarray,
     weights: YawWeights,
 ) -> YawSet:  # fmt: skip
-    """The set of refined hypotheses (hypothesis,) [rad, rad, NCC], best first, and of the bank's other peaks.
-
-    `curve` (yaw,) are the bank's scores at `curve_yaws` (yaw,) [rad], ascending around the circle.
+    """The set of yaws from refined hypotheses and from the other peaks of the bank's scores.
+    Args:
+        yaws: Yaws of the refined hypotheses (hypothesis,) [rad], best first.
+        stds: Their standard deviations (hypothesis,) [rad].
+        scores: Their scores (hypothesis,) [NCC].
+        curve: The bank's scores (yaw,).
+        curve_yaws: Yaws of the bank (yaw,) [rad], ascending around the circle.
+        weights: How hypotheses are weighted.
     """
     best, bin_std = max(scores), CIRCLE / len(curve) / math.sqrt(12)
     rows = [(float(y), min(float(s), UNIFORM_STD), float(v)) for y, s, v in zip(yaws, stds, scores, strict=True)]
@@ -158,7 +168,9 @@ def make_yaw_set(
 
 
 def _other_peaks(curve: np.ndarray, yaws: np.ndarray, known: Sequence[float]) -> list[tuple[float, float]]:
-    """Yaw [rad] and height of local maxima of a curve (yaw,), a bin and more from all `known` yaws [rad]."""
+    """Yaw [rad] and height of the local maxima of a curve (yaw,) that are over a bin away from all `known` yaws
+    [rad].
+    """
     local = (curve >= np.roll(curve, 1)) & (curve > np.roll(curve, -1))
     apart = max(1.5 * CIRCLE / len(curve), SAME_YAW)
     far = [all(abs(math.remainder(float(yaw) - one, CIRCLE)) > apart for one in known) for yaw in yaws]
@@ -166,7 +178,7 @@ def _other_peaks(curve: np.ndarray, yaws: np.ndarray, known: Sequence[float]) ->
 
 
 def merged(modes: Sequence[YawMode]) -> tuple[YawMode, ...]:
-    """Modes without overlap, the likeliest first: those closer than their error bars, or than `SAME_YAW`, are one."""
+    """Modes without overlap, the most likely first: those closer than their error bars or `SAME_YAW` are merged."""
     left, found = sorted(modes, key=lambda mode: -mode.weight), list[YawMode]()
     while left:
         best = left[0]

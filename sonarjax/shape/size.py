@@ -1,6 +1,5 @@
 """`fit_size`: the extents of an object from a few frames of it (beyond the paper).
-
-The joint search of `sonarjax.calibrate`, with the object's extents in place of the sonar's geometry.
+This is the joint fit of `sonarjax.calibrate`, with the object's extents in place of the sonar's geometry.
 """
 
 from __future__ import annotations
@@ -31,29 +30,31 @@ class SizeEstimate:
     """What `fit_size` found."""
 
     mesh: Mesh
-    """The mesh with the extents that the frames determine; the others are its own."""
+    """The mesh with the extents that the frames determine; the other extents are unchanged."""
     free: tuple[str, ...]
-    """Names of the free extents, of `object_length`, `object_width` and `object_height` (x, y and z of the mesh)."""
+    """Names of the free extents: `object_length`, `object_width`, `object_height` (x, y and z of the mesh)."""
     extent: np.ndarray
     """Extents of the fitted mesh along x, y and z [m] (3,)."""
     scale: np.ndarray
-    """Each free extent over that of the mesh given (free,) [1]; 1 where undetermined."""
+    """Ratio of each free extent to that of the given mesh (free,) [1]; 1 if undetermined."""
     covariance: np.ndarray
     """Covariance of the logarithms of `scale` (free, free), given frames and prior."""
     determined: dict[str, bool]
-    """Whether the frames say more about an extent than its prior does: half its standard deviation or less."""
+    """For each extent, whether the frames determine it: they halve the standard deviation of its prior or do better."""
     singular_values: np.ndarray
-    """Of the frames' information about the free extents, in units of their priors (free,), largest first."""
+    """Singular values of the frames' information about the free extents, in units of their priors (free,),
+    largest first.
+    """
     poses: Pose
     """The object's pose in each frame (frame,)."""
     residual: np.ndarray
-    """RMS of what the fit leaves of each frame (frame,), over what is usual in all."""
+    """RMS of each frame's residuals (frame,), divided by what is usual in all."""
     converged: bool
-    """Whether the last step was small."""
+    """True if the last step was small."""
 
     @property
     def std(self) -> dict[str, float]:
-        """Standard deviation of each free extent, as a share of it [1]."""
+        """Standard deviation of each free extent, as a share of the extent [1]."""
         return dict(zip(self.free, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
 
@@ -69,20 +70,29 @@ def fit_size(
     engine: Engine = PLAIN,
     progress: Callable[[str], None] = lambda text: None,
 ) -> SizeEstimate:
-    """How long, wide and high the object is that `frames` (frame, range, beam) show, of the shape of `mesh`.
-
+    """Fit the length, width and height of an object of known shape to frames of it.
     Minimises the robust squared difference between the frames and what the sonar would store of the object on a lit
-    floor, jointly over the `free` extents, the device's look and each frame's yaw, x and y, by Levenberg–Marquardt with
-    the poses eliminated (Triggs et al., Bundle Adjustment, 2000). Assumes a flat floor, a known sonar, an object that
-    stands on the floor, and `poses` (frame,) that are right to a few centimetres and degrees, as a match with the mesh
-    gives them. `prior` gives standard deviations of the extents' logarithms [1], 0.25 without: the mesh may be a
-    quarter too small or too large. An extent that the frames do not determine keeps the mesh's, and is said to be
-    undetermined: all frames from one side, or one frame alone, leave what is hidden open.
+    floor, jointly over the free extents, the device's look and each frame's yaw, x and y, by Levenberg–Marquardt with
+    the poses eliminated (Triggs et al., Bundle Adjustment, 2000). This assumes a flat floor, a known sonar and an
+    object that stands on the floor. An extent that the frames do not determine keeps the mesh's value, and is reported
+    as undetermined: a single frame, or frames all from one side, say nothing about what is hidden.
 
-    `masks` (frame, range, beam) are true where pixels were measured; `progress` is told what is being done.
+    Args:
+        frames: Grey frames (frame, range, beam).
+        mesh: The object's shape, in roughly its size.
+        sonar: The sonar.
+        poses: Poses (frame,) that are right to a few centimetres and degrees, such as those from matching with the
+            mesh.
+        free: Names of the extents to fit.
+        prior: Standard deviations of the extents' logarithms [1], by name. The default of 0.25 allows for a mesh that
+            is a quarter too small or too large.
+        masks: True where pixels were measured (frame, range, beam).
+        engine: Runs the compiled functions.
+        progress: Called with a text that says what is being done.
 
-    Raises SonarjaxError for no frames, shapes that do not fit the sonar, frames that are all alike, values that are not
-    finite, poses of another number or with the object out of view, and extents that do not exist.
+    Raises:
+        SonarjaxError: There are no frames, their shapes do not fit the sonar, they are all the same, values are not
+            finite, there is another number of poses, the object is out of view, or an extent does not exist.
     """
     names = in_order(free, SIZES)
     std = prior_std(names, prior, sonar)
@@ -112,9 +122,9 @@ def fit_size(
 
 
 def starts_of(poses: Pose, count: int, sonar: Sonar) -> list[Pose]:
-    """The poses (frame,) one by one.
-
-    Raises SonarjaxError unless there are `count`, each with the object in view.
+    """Split the poses (frame,) into one for each frame.
+    Raises:
+        SonarjaxError: There are not `count` poses, or the object is out of view at one of them.
     """
     if poses.shape != (count,):
         raise SonarjaxError(f"poses: expected one for each of the {count} frames, got shape {poses.shape}")

@@ -1,8 +1,7 @@
-"""`fit_surface`: all vertices of a smooth body from posed frames of it (beyond the paper).
-
-1 − NCC of the rendered echo and each frame is lowered by Adam with the gradient by every vertex. Steps are smoothed by
-(I + λL)⁻¹, L the mesh's Laplacian, so that neighbours move together (Nicolet, Jacobson and Jakob, Large Steps in
-Inverse Rendering of Geometry, ACM Trans. Graph. 40, 2021), and a prior keeps the displacement smooth.
+"""`fit_surface`: all vertices of a smooth body from frames at known poses (beyond the paper).
+Adam lowers 1 − NCC between the rendered echo and each frame, with the gradient by every vertex. Steps are smoothed by
+(I + λL)⁻¹, where L is the mesh's Laplacian, so that neighbours move together (Nicolet, Jacobson and Jakob, Large Steps
+in Inverse Rendering of Geometry, ACM Trans. Graph. 40, 2021). A prior keeps the displacement smooth.
 """
 
 from __future__ import annotations
@@ -32,13 +31,13 @@ from sonarjax.shape.size import starts_of
 from sonarjax.sonar import Sonar
 
 MARGIN = (48, 12)
-"""Range bins and beams around the first mesh's picture that count: where the body may be found."""
+"""Range bins and beams around the first mesh's template that are compared, because the body may be found there."""
 SLACK_M = 0.05
 """Room around the first mesh in its window [m]."""
 ROOM = 2
-"""How many times the triangles of the first mesh there is room for in a slice: bent surfaces cross it more often."""
+"""Factor on the room for triangles in a slice, because slices cross a bent surface more often."""
 MOST_VERTICES = 2000
-"""The smoothing is a dense matrix: larger meshes are to be made coarser first."""
+"""Most vertices of a mesh: the smoothing is a dense matrix, so larger meshes must be made coarser first."""
 
 
 @dataclass(frozen=True)
@@ -46,18 +45,18 @@ class SurfaceConfig:
     """How `fit_surface` searches."""
 
     blurs: tuple[float, ...] = (6.0, 3.0, 1.5)
-    """Standard deviations of the blur in range bins, coarse to fine."""
+    """Standard deviations of the blur [range bins], coarse to fine."""
     iterations: int = 40
-    """Steps at each blur."""
+    """Number of steps at each blur."""
     step_m: float = 1.5e-3
-    """Largest first step of a vertex [m]; it falls to a fifth within each blur."""
+    """Largest first step of a vertex [m]; within each blur the steps fall to a fifth."""
     smoothing: float = 12.0
-    """λ of the smoothed steps [1]: neighbours over some √λ edges move together."""
+    """λ of the smoothed steps [1]: vertices within about √λ edges of each other move together."""
     prior: float = 20.0
-    """Weight of the mean square of the displacement's Laplacian, in units of the body's radius [1]."""
+    """Weight of the mean square of the displacement's Laplacian, measured in radii of the body [1]."""
 
     def __post_init__(self) -> None:
-        """Raises SonarjaxError for numbers that no search can have."""
+        """Raise a SonarjaxError for numbers that no search can have."""
         numbers = (*self.blurs, self.step_m)
         if not self.blurs or not all(0 < v < math.inf for v in numbers) or self.iterations < 1:
             raise SonarjaxError("SurfaceConfig: expected blurs, step_m and iterations above 0")
@@ -70,17 +69,19 @@ class SurfaceEstimate:
     """What `fit_surface` found."""
 
     mesh: Mesh
-    """The same triangles with the vertices where the frames have them."""
+    """The same triangles, with fitted vertices."""
     score: np.ndarray
-    """Mean NCC of template and frame over all frames (step + 1,), blurred as in that step, from the first mesh on."""
+    """Mean NCC of template and frame over all frames (step + 1,), blurred as in that step; the first is that of
+    the first mesh.
+    """
     scores: np.ndarray
     """The last NCC of each frame (frame,)."""
     moved: np.ndarray
-    """How far each vertex went [m] (vertex,). No frame shows the underside: there the prior alone decides."""
+    """How far each vertex moved [m] (vertex,). No frame shows the underside, so only the prior decides there."""
 
 
 class _Frame(NamedTuple):
-    """A frame ready for comparison; numbers only, so that all frames share compiled code."""
+    """A frame ready for comparison. It holds only numbers, so that all frames share compiled code."""
 
     image: Any
     mask: Any
@@ -100,16 +101,23 @@ def fit_surface(
     engine: Engine = PLAIN,
     progress: Callable[[str], None] = lambda text: None,
 ) -> SurfaceEstimate:
-    """The surface of a smooth body that `frames` (frame, range, beam) show at known `poses` (frame,).
+    """Fit the surface of a smooth body to frames of it at known poses.
+    This assumes a flat floor, a known sonar, and a body without sharp edges that stays above the floor (z ≥ 0 in the
+    mesh's frame). Parts that no frame shows are bent smoothly along with the parts that frames show.
 
-    `mesh` is a first guess with the triangles to be bent, a ball of the body's size for one, of 2,000 vertices or
-    fewer. Assumes a flat floor, a known sonar and a body without sharp edges that stays above the floor (z ≥ 0 in the
-    mesh's frame). What no frame shows is bent along with what they show, smoothly.
+    Args:
+        frames: Grey frames (frame, range, beam).
+        mesh: A first guess whose triangles are bent, for example a ball of the body's size; 2,000 vertices or fewer.
+        sonar: The sonar.
+        poses: Known poses of the body (frame,).
+        config: How to search.
+        masks: True where pixels were measured (frame, range, beam).
+        engine: Runs the compiled functions.
+        progress: Called with a text that says what is being done.
 
-    `masks` (frame, range, beam) are true where pixels were measured; `progress` is told what is being done.
-
-    Raises SonarjaxError for no frames, shapes that do not fit the sonar, frames that are all alike, values that are not
-    finite, poses of another number or with the body out of view, and a mesh with too many vertices.
+    Raises:
+        SonarjaxError: There are no frames, their shapes do not fit the sonar, they are all the same, values are not
+            finite, there is another number of poses, the body is out of view, or the mesh has too many vertices.
     """
     images, measured = check_frames(frames, masks, sonar)
     starts = starts_of(poses, len(images), sonar)
@@ -144,7 +152,7 @@ def fit_surface(
 
 
 def _window(mesh: Mesh, sonar: Sonar, starts: Sequence[Pose]) -> WindowSize:
-    """One window for all frames, a little wider than the first mesh needs."""
+    """One window size for all frames, slightly larger than the first mesh needs."""
     planned = [plan_window(mesh, sonar, float(np.hypot(s.x, s.y)), SLACK_M) for s in starts]
     shape = tuple(max(p.shape[axis] for p in planned) for axis in (0, 1))
     return WindowSize((shape[0], shape[1]), shape[1])
@@ -154,7 +162,7 @@ def _descend(
     evaluate: Callable[[np.ndarray, float], tuple[np.ndarray, np.ndarray]], begin: np.ndarray, faces: np.ndarray,
     config: SurfaceConfig, progress: Callable[[str], None],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
-    """Adam over smoothed displacements: the vertices (vertex, 3), each step's mean score, each frame's last one."""
+    """Adam over smoothed displacements: the vertices (vertex, 3), each step's mean score, each frame's last score."""
     laplacian = uniform_laplacian(faces, len(begin))
     smooth = np.linalg.inv(np.eye(len(begin)) + config.smoothing * laplacian)
     radius = max(float(np.abs(begin - begin.mean(axis=0)).max()), 1e-6)
@@ -169,7 +177,7 @@ def _descend(
             bent = laplacian @ (point - begin)
             slope = slope / len(costs) + 2 * config.prior / radius**2 * laplacian.T @ bent / len(begin)
             step, state = adam.update(jnp.asarray(smooth @ slope, jnp.float32), state)
-            # One length for all vertices: scaled one by one, those that nothing is known of would go as far.
+            # Scale all vertices by one length. Scaled one by one, vertices that no frame shows would move as far.
             along = smooth @ np.asarray(step, np.float64)
             along *= float(schedule(number)) / max(np.linalg.norm(along, axis=1).max(), 1e-12)
             point = point - along
@@ -180,8 +188,7 @@ def _descend(
 
 
 def uniform_laplacian(faces: np.ndarray, count: int) -> Float[np.ndarray, "vertex vertex"]:
-    """The mesh's Laplacian (vertex, vertex) of equal weights: each vertex less the mean of its neighbours.
-
+    """The mesh's Laplacian (vertex, vertex) with equal weights: each vertex minus the mean of its neighbours.
     Vertices without a triangle, such as padding, have a row of zeros.
     """
     near = np.zeros((count, count))
@@ -193,7 +200,7 @@ def uniform_laplacian(faces: np.ndarray, count: int) -> Float[np.ndarray, "verte
 
 
 def _begun(engine: Engine, mesh: Mesh, sonar: Sonar, size: WindowSize, frame: _Frame) -> _Frame:
-    """The frame with the echo's law that fits the first mesh best, and with what counts of its window."""
+    """The frame with the echo law that fits the first mesh best, and the weights of the pixels in its window."""
     *law, weight = engine.run(_chosen, frame.image, frame.mask, frame.pose, mesh, sonar, size=size)
     return frame._replace(law=tuple(np.asarray(v) for v in law), weight=np.asarray(weight))
 
@@ -211,7 +218,7 @@ def _problem(
 
 @partial(jax.jit, static_argnames="size")
 def _chosen(image: Array, mask: Array, pose: Pose, mesh: Mesh, sonar: Sonar, *, size: WindowSize) -> tuple[Array, ...]:
-    """The numbers of the echo's law that fits best, and 1 where a pixel of the window counts (range, beam)."""
+    """The numbers of the echo law that fits best, and the weight of each pixel of the window (range, beam), 1 or 0."""
     problem = _problem(image, mask, pose, nominal_law(), mesh, sonar, mesh, size)
     layers = render_layers(problem.subject, jnp.zeros(0))
     nothing = jnp.zeros(())

@@ -1,4 +1,4 @@
-"""Sequences: a belief over yaw, x, y and yaw rate, fed by the recognizer's hypotheses frame by frame."""
+"""Sequences of frames: a belief over yaw, x, y and yaw rate, updated by the recognizer's hypotheses frame by frame."""
 
 from sonarjax.track.belief import Belief, Measurement, Numbers, next_belief, nothing_known, numbers_of, run_filter
 from sonarjax.track.measurement import Mode, measurement_of, modes_of

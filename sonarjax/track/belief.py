@@ -1,10 +1,10 @@
-"""The belief over an object's pose and rate: a mixture of Gaussians with circular yaw, and its step by a frame.
-
-Each Gaussian follows one way to explain the frames: which hypothesis of each was right, or none (Reid, An Algorithm for
-Tracking Multiple Targets, IEEE Trans. Automatic Control 24, 1979); within it this is a Kalman filter. Beside yaw, x, y
-and rate, its state holds the errors that all frames of one view share, so that a hundred frames alike do not pretend to
-a hundredth of the variance (Schmidt, Application of State-Space Methods to Navigation Problems, 1966, has biases as
-states). All is pure, and works under `jax.jit`, `jax.vmap` and `jax.lax.scan`.
+"""The belief over an object's pose and rate: a mixture of Gaussians with circular yaw, and its update by one frame.
+Each Gaussian follows one way to explain the frames: which hypothesis of each frame was right, or none (Reid, An
+Algorithm for Tracking Multiple Targets, IEEE Trans. Automatic Control 24, 1979). Within one explanation this is a
+Kalman filter. Besides yaw, x, y and rate, its state holds the errors that all frames of one view share, so that a
+hundred similar frames do not reduce the variance to a hundredth (Schmidt, Application of State-Space Methods to
+Navigation Problems, 1966, has biases as states). Everything is pure, and works under `jax.jit`, `jax.vmap` and
+`jax.lax.scan`.
 """
 
 from __future__ import annotations
@@ -21,57 +21,57 @@ from sonarjax.track.motion import Motion, TrackConfig, Turning
 from sonarjax.track.reduce import Mixture, reduced, wrapped
 
 STATES = 7
-"""Numbers of a Gaussian: yaw [rad], x, y [m], rate [rad/frame], then the shared errors of yaw [rad], x and y [m]."""
+"""Number of states of a Gaussian: yaw [rad], x, y [m], rate [rad/frame], and the shared errors of yaw, x, y."""
 YAW, X, Y, RATE = range(4)
 SHARED = slice(4, 7)
 
 
 @record
 class Belief:
-    """What is known after a frame, in the common frame; the first component stands for 'anywhere', without Gaussian."""
+    """What is known after a frame, in the common frame. The first component means 'anywhere' and has no Gaussian."""
 
     log_weight: Float[Array, "*batch component"]
-    """Logarithm of each component's probability; -inf where there is none."""
+    """Logarithm of each component's probability; -inf for an unused place."""
     mean: Float[Array, "*batch component 7"]
     """Means: yaw [rad], x, y [m], rate [rad/frame], and the errors of yaw, x, y that all frames of a view share."""
     covariance: Float[Array, "*batch component 7 7"]
-    """Covariances of these."""
+    """Covariances of these numbers."""
     parent: Int[Array, "*batch component"]
-    """Which component of the belief before it each one continues."""
+    """Number of the component of the previous belief that each one continues."""
     gain: Float[Array, "*batch component"]
-    """Log-likelihood that this frame added to each component, but for a constant of the frame."""
+    """Log-likelihood that this frame added to each component, up to a constant of the frame."""
     sonar: Float[Array, "*batch 3"]
-    """Where the sonar was: x, y [m] and yaw [rad]."""
+    """Pose of the sonar: x, y [m] and yaw [rad]."""
     elapsed: Float[Array, "*batch"]
-    """Time since the frame before [frames]."""
+    """Time since the previous frame [frames]."""
     fading: Float[Array, "*batch"]
-    """What this frame left of the log-weights before it [1]: all, if it said nothing."""
+    """Factor that this frame put on the earlier log-weights [1]; 1 if the frame said nothing."""
 
 
 @record
 class Measurement:
-    """What a recognizer made of one frame, in the sonar's frame; hypotheses beyond their number have weight -inf."""
+    """What a recognizer found in one frame, in the sonar's frame. Unused places for hypotheses have weight -inf."""
 
     log_weight: Float[Array, "*batch hypothesis"]
     """Logarithm of the probability that this is the right hypothesis."""
     log_miss: Float[Array, "*batch"]
-    """Logarithm of the probability that none is."""
+    """Logarithm of the probability that no hypothesis is right."""
     pose: Float[Array, "*batch hypothesis 3"]
     """Yaw [rad], x and y [m]."""
     std: Float[Array, "*batch hypothesis 3"]
     """Standard deviations of the errors that differ from frame to frame, in the same units."""
     sonar: Float[Array, "*batch 3"]
-    """Where the sonar is in the common frame: x, y [m] and yaw [rad]."""
+    """Pose of the sonar in the common frame: x, y [m] and yaw [rad]."""
     elapsed: Float[Array, "*batch"]
-    """Time since the frame before [frames]."""
+    """Time since the previous frame [frames]."""
 
 
 @record
 class Numbers:
-    """Motion and config as numbers that are traced: all motions share compiled code."""
+    """Motion and config as traced numbers, so that all motions share compiled code."""
 
     rate_std: Float[Array, "*batch"]
-    """As in `Turning` [rad/frame]; 0 of what stands."""
+    """As in `Turning` [rad/frame]; 0 for an object at rest."""
     rate_drift: Float[Array, "*batch"]
     """As in `Turning` [rad/frame]."""
     yaw_drift: Float[Array, "*batch"]
@@ -85,17 +85,17 @@ class Numbers:
     aspect: Float[Array, "*batch"]
     """As in `TrackConfig` [rad]."""
     fading: Float[Array, "*batch"]
-    """What is left of a log-weight after a frame [1]."""
+    """Factor on a log-weight for each frame [1]."""
     merge: Float[Array, "*batch"]
     """As in `TrackConfig` [1]."""
     alias: Float[Array, "*batch"]
     """As in `TrackConfig` [1]."""
     log_volume: Float[Array, "*batch"]
-    """Logarithm of 2π times the floor over which wrong hypotheses lie [rad m²]."""
+    """Logarithm of 2π times the area of floor over which wrong hypotheses lie [rad m²]."""
 
 
 def numbers_of(motion: Motion, config: TrackConfig) -> Numbers:
-    """The numbers of a motion and a config; evidence fades by exp(-1 / memory) a frame."""
+    """The numbers of a motion and a config; evidence fades by exp(-1 / memory) with each frame."""
     rates = (motion.rate_std, motion.rate_drift) if isinstance(motion, Turning) else (0.0, 0.0)
     values = (
         *rates, motion.yaw_drift, motion.place_drift, config.floor, config.place_floor, config.aspect,
@@ -105,7 +105,7 @@ def numbers_of(motion: Motion, config: TrackConfig) -> Numbers:
 
 
 def nothing_known(config: TrackConfig) -> Belief:
-    """The belief before the first frame: anywhere."""
+    """The belief before the first frame: the object may be anywhere."""
     count = config.components
     weight = np.full(count, -np.inf, np.float32)
     weight[0] = 0.0
@@ -123,9 +123,10 @@ def nothing_known(config: TrackConfig) -> Belief:
 
 
 def step(belief: Belief, measurement: Measurement, numbers: Numbers) -> Belief:
-    """The belief after one more frame: predicted by `elapsed` to where the sonar is now, then updated.
-
-    A component's yaw stays in [0, 2π). A `measurement` whose hypotheses all have weight -inf only predicts.
+    """Update the belief by one more frame: predict it over `elapsed`, to the sonar's present pose, then apply the
+    measurement.
+    The yaw of every component stays in [0, 2π). If all hypotheses of `measurement` have weight -inf, the belief is only
+    predicted.
     """
     mean, covariance, _, _ = predicted(belief, measurement.sonar, measurement.elapsed, numbers)
     fading = jnp.where(jnp.isfinite(measurement.log_weight).any(), numbers.fading, 1.0)
@@ -136,8 +137,8 @@ def step(belief: Belief, measurement: Measurement, numbers: Numbers) -> Belief:
         lambda m, p: jax.vmap(lambda h, s: _kalman(m, p, h, s, measurement.sonar))(measurement.pose, measurement.std)
     )
     likelihood, new_mean, new_covariance = fits(mean, covariance)
-    # Wrong hypotheses lie anywhere: all likelihoods are relative to their density, 1 / (2π area).
-    real = slice(1, None)  # without 'anywhere'
+    # Wrong hypotheses lie anywhere. All likelihoods are relative to their density, 1 / (2π area).
+    real = slice(1, None)  # all components but 'anywhere'
     density = likelihood + numbers.log_volume
     hit = before[:, None] + measurement.log_weight + density
     missed = before + measurement.log_miss + _alike(density[real], before[real], measurement, numbers)
@@ -174,10 +175,9 @@ def step(belief: Belief, measurement: Measurement, numbers: Numbers) -> Belief:
 
 
 def _alike(density: Array, log_weight: Array, measurement: Measurement, numbers: Numbers) -> Array:
-    """Log of how likely a frame's hypotheses are when none is right, relative to their lying anywhere.
-
-    A share of wrong ones lies where a wrong one did before: at the other yaws at which an object looks much the same.
-    Were all thought to lie anywhere, two of them in a row would outweigh any belief.
+    """Log-likelihood of a frame's hypotheses if none is right, relative to their lying anywhere.
+    Some wrong hypotheses lie where earlier wrong ones did: at other yaws at which the object looks much the same. If
+    all were assumed to lie anywhere, two such hypotheses in a row would outweigh any belief.
     """
     known = jnp.where(jnp.isfinite(log_weight)[:, None], density, -jnp.inf)
     nearest = known.max(axis=0) + measurement.log_weight
@@ -193,12 +193,12 @@ def predicted(
     Float[Array, "component 7"], Float[Array, "component 7 7"], Float[Array, "component 7 7"],
     Float[Array, "component 7 7"],
 ]:  # fmt: skip
-    """Means (component, 7) and covariances (component, 7, 7) at the next frame, transitions and process noises."""
+    """Means (component, 7) and covariances (component, 7, 7) at the next frame, then transitions and process noises."""
 
     def one(mean: Array, covariance: Array) -> tuple[Array, Array, Array, Array]:
         old, new = (jnp.arctan2(mean[Y] - s[1], mean[X] - s[0]) for s in (belief.sonar, sonar))
         changed = mean[RATE] * elapsed - wrapped(new - old)
-        # An unknown rate changes the aspect too.
+        # Uncertainty about the rate adds to the change of aspect.
         aspect = jnp.sqrt(changed**2 + covariance[RATE, RATE] * elapsed**2)
         alike = jnp.exp(-aspect / numbers.aspect)
         transition = jnp.eye(STATES).at[YAW, RATE].set(elapsed).at[4, 4].set(alike)
@@ -211,7 +211,9 @@ def predicted(
 
 
 def _observation(sonar: Float[Array, "3"]) -> Float[Array, "3 7"]:
-    """What a hypothesis (yaw, x, y), turned to the common frame, shows of a state: pose and shared errors."""
+    """Matrix from a state to what a hypothesis (yaw, x, y), rotated into the common frame, observes: pose and
+    shared errors.
+    """
     turn = jnp.eye(3).at[1:, 1:].set(_rotation(sonar[2]))
     return jnp.zeros((3, STATES)).at[:, :3].set(jnp.eye(3)).at[:, SHARED].set(turn)
 
@@ -222,17 +224,19 @@ def _rotation(angle: Array) -> Float[Array, "2 2"]:
 
 
 def to_common(pose: Float[Array, "3"], sonar: Float[Array, "3"]) -> Float[Array, "3"]:
-    """A pose (yaw [rad], x, y [m]) of the sonar's frame in the common frame, where the sonar is at (x, y, yaw)."""
+    """A pose (yaw [rad], x, y [m]) of the sonar's frame in the common frame, in which the sonar is at `sonar`
+    (x, y, yaw).
+    """
     place = sonar[:2] + _rotation(sonar[2]) @ pose[1:]
     return jnp.concatenate([(pose[:1] + sonar[2]), place])
 
 
 def _kalman(mean: Array, covariance: Array, pose: Array, std: Array, sonar: Array) -> tuple[Array, Array, Array]:
-    """Log-likelihood of a hypothesis, and mean and covariance with it."""
+    """Log-likelihood of a hypothesis, and the mean and covariance that it updates."""
     seen = _observation(sonar)
     gap = to_common(pose, sonar) - seen @ mean
     gap = gap.at[YAW].set(wrapped(gap[YAW]))
-    noise = jnp.diag(std**2)  # of x and y alike: turning it changes nothing
+    noise = jnp.diag(std**2)  # the same for x and y, so rotating it into the common frame changes nothing
     spread = seen @ covariance @ seen.T + noise
     gain = jnp.linalg.solve(spread, seen @ covariance).T
     rest = jnp.eye(STATES) - gain @ seen
@@ -243,7 +247,7 @@ def _kalman(mean: Array, covariance: Array, pose: Array, std: Array, sonar: Arra
 
 
 def _first(pose: Array, std: Array, sonar: Array, numbers: Numbers) -> tuple[Array, Array]:
-    """Mean and covariance of an object of which nothing was known, given the right hypothesis."""
+    """Mean and covariance of an object about which nothing was known, given the right hypothesis."""
     shared = jnp.stack([numbers.floor, numbers.place_floor, numbers.place_floor]) ** 2
     turn = _observation(sonar)[:, SHARED]
     across = -turn * shared
@@ -255,7 +259,7 @@ def _first(pose: Array, std: Array, sonar: Array, numbers: Numbers) -> tuple[Arr
 
 @jax.jit
 def run_filter(belief: Belief, measurements: Measurement, numbers: Numbers) -> Belief:
-    """The beliefs (frame, component) after each of the `measurements` (frame, hypothesis), one step each."""
+    """The beliefs (frame, component) after each of the `measurements` (frame, hypothesis), one step for each."""
 
     def one(before: Belief, measurement: Measurement) -> tuple[Belief, Belief]:
         after = step(before, measurement, numbers)

@@ -1,4 +1,4 @@
-"""What a frame says: a recognizer's hypotheses as a `Measurement`; and what a belief says: its modes, best first."""
+"""Turn a recognizer's hypotheses into a `Measurement`, and a belief into its modes, the most likely first."""
 
 from __future__ import annotations
 
@@ -15,42 +15,44 @@ from sonarjax.track.belief import RATE, YAW, Belief, Measurement
 from sonarjax.track.motion import TrackConfig
 
 UNRULED = {True: 0.9, False: 0.1}
-"""Probability of a frame that a plain threshold identified, and of one that it did not, where no rule gives any."""
+"""Probability that a frame shows the target if a plain threshold identified it, and if not; used where no rule
+gives a probability.
+"""
 ROOT = math.sqrt(2.0)
 ONE_STD = math.erf(1 / ROOT)
 HALVINGS, TINY = 24, 1e-9
 LEAST_PROBABILITY = 1e-4
-"""Modes of a belief below it are not told."""
+"""Modes of a belief with a smaller probability are left out."""
 
 
 @dataclass(frozen=True)
 class Mode:
-    """One possible pose of the object, in the common frame, and its error bars if it is the right one."""
+    """One possible pose of the object in the common frame, with its error bars in case it is the right one."""
 
     yaw: float
     """Yaw [rad], in [0, 2π)."""
     x: float
     """Position along the common frame's x [m]."""
     y: float
-    """Position along its y [m]."""
+    """Position along the common frame's y [m]."""
     rate: float
-    """By how much yaw grows [rad/frame]."""
+    """Growth of yaw [rad/frame]."""
     covariance: np.ndarray
     """Covariance (state, state) of yaw, x, y and rate."""
     yaw_std: float
-    """Half of the interval around `yaw` that holds 68 % of this mode [rad]: a normal distribution's standard deviation.
-
-    Tails make the root of the covariance's entry larger."""
+    """Half of the interval around `yaw` that holds 68 % of this mode [rad], as a normal standard deviation does.
+    Because of the tails, the square root of the covariance's entry is larger.
+    """
     probability: float
-    """Probability of this one among all, and of being somewhere else [1]."""
+    """Probability of this mode [1], among all modes and the possibility of another place."""
 
 
 def measurement_of(
     found: Recognition | None, yaw_bins: int, config: TrackConfig, sonar: np.ndarray, elapsed: float
 ) -> Measurement:
-    """The hypotheses of a recognition, or of none; `sonar` (3,) is where it was: x, y [m], yaw [rad].
-
-    Each hypothesis stands for two errors: one as its error bar says, and one of the tails.
+    """The hypotheses of a recognition as a measurement; None for a frame that could not be recognized.
+    Each hypothesis is entered with two errors: that of its error bar, and the larger one of the tails. `sonar` (3,) is
+    the sonar's pose: x, y [m], yaw [rad]. `elapsed` is the time since the previous frame [frames].
     """
     count = config.hypotheses
     weight = np.full((2, count), -np.inf)
@@ -75,10 +77,9 @@ def measurement_of(
 
 
 def probability(found: Recognition) -> float:
-    """That the target is shown in a frame [1]: the score where a rule made it, else by the threshold alone.
-
-    A threshold that is not one half says where the odds are even: whoever lowers it knows that the target is more often
-    there than in the rule's validation frames.
+    """Probability that a frame shows the target [1]: from the score if a rule made it, else from the threshold alone.
+    A threshold other than one half is read as the score at which the odds are even: a user who lowers it knows that the
+    target is present more often than in the rule's validation frames.
     """
     if found.score == found.score_bank:
         return UNRULED[bool(found.identified)]
@@ -88,7 +89,7 @@ def probability(found: Recognition) -> float:
 
 
 def _yaw_std(one: Hypothesis, yaw_bins: int, config: TrackConfig) -> float:
-    """Standard deviation [rad] of what differs from frame to frame."""
+    """Standard deviation [rad] of the part of the error that differs from frame to frame."""
     whole = 2 * math.pi / yaw_bins / math.sqrt(12) if one.yaw_std is None else one.yaw_std
     return config.yaw_scale * whole
 
@@ -98,7 +99,7 @@ def _place(one: Hypothesis, found: Recognition) -> tuple[float, float]:
 
 
 def modes_of(belief: Belief) -> tuple[Mode, ...]:
-    """What one belief (component) holds possible, the likeliest first: components of one yaw are told as one."""
+    """The possible poses of one belief (component), the most likely first. Components of one yaw are joined."""
     log_weight = np.asarray(belief.log_weight, float)
     weight = np.exp(log_weight[1:])
     mean, covariance = (np.asarray(v, float)[1:] for v in (belief.mean, belief.covariance))
@@ -125,7 +126,7 @@ def modes_of(belief: Belief) -> tuple[Mode, ...]:
 
 
 def _half_width(share: np.ndarray, middle: np.ndarray, std: np.ndarray) -> float:
-    """Half-width about 0 that holds as much of a mixture as one standard deviation does of a normal distribution."""
+    """Half-width around 0 that holds as much of a mixture as one standard deviation holds of a normal distribution."""
     used = [
         (s, m, max(d, TINY)) for s, m, d in zip(share.tolist(), middle.tolist(), std.tolist(), strict=True) if s > 0
     ]
@@ -138,6 +139,6 @@ def _half_width(share: np.ndarray, middle: np.ndarray, std: np.ndarray) -> float
 
 
 def each_of(beliefs: Belief) -> list[Belief]:
-    """Beliefs (frame, component), one by one."""
+    """Split beliefs (frame, component) into one belief for each frame."""
     whole = jax.tree.map(np.asarray, beliefs)
     return [jax.tree.map(lambda v, k=k: v[k], whole) for k in range(len(whole.elapsed))]

@@ -1,4 +1,4 @@
-"""How an object may move between frames, and how frames are weighed: frozen records of numbers."""
+"""How an object may move between frames, and how frames are weighted: frozen records of numbers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from sonarjax.io.errors import SonarjaxError
 
 @dataclass(frozen=True)
 class Standing:
-    """An object that stays where it is, but for a slow drift."""
+    """An object that stays where it is, apart from a slow drift."""
 
     yaw_drift: float = 0.0
     """Standard deviation of the change of yaw from frame to frame [rad]."""
@@ -18,28 +18,29 @@ class Standing:
     """Standard deviation of the change of x and of y from frame to frame [m]."""
 
     def __post_init__(self) -> None:
-        """Raises SonarjaxError for negative or infinite drifts."""
+        """Raise a SonarjaxError for negative or infinite drifts."""
         _check(self)
 
 
 @dataclass(frozen=True)
 class Turning:
-    """An object that turns at a rate that changes slowly: yaw grows by the rate, the rate is a random walk.
-
-    Rates are for each frame, or for each unit of the times that are given with the frames.
+    """An object that turns at a slowly changing rate: yaw grows by the rate, and the rate is a random walk.
+    Rates are per frame, or per unit of the times that are given with the frames.
     """
 
     rate_std: float = math.radians(10.0)
-    """Standard deviation of the rate before the first frame [rad/frame]; its mean is 0: either way is as likely."""
+    """Standard deviation of the rate before the first frame [rad/frame]. Its mean is 0: both directions are
+    equally likely.
+    """
     rate_drift: float = math.radians(0.5)
     """Standard deviation of the change of the rate from frame to frame [rad/frame]."""
     yaw_drift: float = math.radians(3.0)
-    """Standard deviation of what yaw changes beyond the rate [rad]: what is turned by hand turns unevenly."""
+    """Standard deviation of changes of yaw in addition to the rate [rad]; an object turned by hand turns unevenly."""
     place_drift: float = 0.005
     """Standard deviation of the change of x and of y from frame to frame [m]."""
 
     def __post_init__(self) -> None:
-        """Raises SonarjaxError for negative or infinite numbers."""
+        """Raise a SonarjaxError for negative or infinite numbers."""
         _check(self)
 
 
@@ -48,45 +49,48 @@ Motion = Standing | Turning
 
 @dataclass(frozen=True)
 class TrackConfig:
-    """How frames are weighed. Defaults come from drawn validation sequences (experiments/fit_tracking.py)."""
+    """How frames are weighted. The defaults come from drawn validation sequences (experiments/fit_tracking.py)."""
 
     softness: float = 0.01
-    """By how much a hypothesis' score must be lower to be e times less likely [NCC]."""
+    """Difference in score that makes a hypothesis e times less likely [NCC]."""
     memory: float = 8.0
-    """Frames over which evidence for one hypothesis against another adds up: what is older fades.
-
-    Errors of neighbouring frames are alike, so hundreds of frames that prefer one of two equal hypotheses by a little
-    must not decide; and a belief that was right for hundreds of frames must be able to change."""
+    """Number of frames over which evidence for one hypothesis against another accumulates; older evidence fades.
+    Errors of neighbouring frames are alike. Hundreds of frames that slightly prefer one of two equal hypotheses must
+    therefore not decide, and a belief that was right for hundreds of frames must still be able to change.
+    """
     misses: float = 0.02
-    """Share of frames that show the target and have no right hypothesis [1]."""
+    """Share of frames that show the target but have no right hypothesis [1]."""
     alias: float = 0.1
-    """Share of wrong hypotheses that lie where another one is believed in [1], not anywhere: objects look alike at
-    some other yaws, and a frame's errors are much like those of the frame before."""
+    """Share of wrong hypotheses that lie at another pose that is believed in [1], rather than anywhere. Objects
+    look alike at some other yaws, and the errors of a frame are much like those of the frame before.
+    """
     floor: float = math.radians(0.53)
-    """Standard deviation of the part of the yaw's error that all frames of one aspect share [rad]."""
+    """Standard deviation of the part of the yaw error that all frames of one aspect share [rad]."""
     aspect: float = math.radians(6.0)
-    """Change of the aspect over which that part is another by a factor of e [rad]."""
+    """Change of aspect over which the correlation of that part falls by a factor of e [rad]."""
     place_floor: float = 0.005
     """Standard deviation of the error of x and of y that all frames share, in the sonar's frame [m]."""
     place_std: float = 0.005
     """Standard deviation of the error of x and of y that differs from frame to frame [m]."""
     yaw_scale: float = 0.6
-    """Part of the recognizer's `yaw_std` that differs from frame to frame [1]; `floor` joins it in quadrature."""
+    """Factor on the recognizer's `yaw_std` for the part of the error that differs from frame to frame [1];
+    `floor` is added to it in quadrature.
+    """
     tail: float = 0.2
-    """Share of right hypotheses whose errors are `tail_scale` times as large [1]: the tails are heavier than normal."""
+    """Share of right hypotheses whose errors are `tail_scale` times as large [1]; the tails are heavier than normal."""
     tail_scale: float = 6.0
-    """Factor on the standard deviations of those [1]."""
+    """Factor on the standard deviations of those hypotheses [1]."""
     area: float = 1.0
-    """Floor over which a wrong hypothesis may lie anywhere [m²]."""
+    """Area of floor over which a wrong hypothesis may lie anywhere [m²]."""
     components: int = 24
-    """Gaussians that are kept; decides compiled code."""
+    """Number of Gaussians that are kept; another number means other compiled code."""
     hypotheses: int = 6
-    """Hypotheses of a frame that are used, the best first; decides compiled code."""
+    """Number of hypotheses of a frame that are used, the best first; another number means other compiled code."""
     merge: float = 1.0
-    """Gaussians that differ by less in yaw, x, y and rate become one [standard deviations]."""
+    """Gaussians that differ by less in yaw, x, y and rate are merged [standard deviations]."""
 
     def __post_init__(self) -> None:
-        """Raises SonarjaxError for numbers that no tracker can have."""
+        """Raise a SonarjaxError for numbers that no tracker can have."""
         _check(self)
         shares = self.misses, self.tail, self.alias
         lengths = self.softness, self.memory, self.floor, self.aspect, self.place_floor, self.place_std, self.area
@@ -99,7 +103,7 @@ class TrackConfig:
 
 
 def _check(config: object) -> None:
-    """Raises SonarjaxError for a field that is negative or not finite."""
+    """Raise a SonarjaxError for a field that is negative or not finite."""
     for one in fields(config):  # type: ignore[arg-type]
         value = getattr(config, one.name)
         if not 0 <= value < math.inf:

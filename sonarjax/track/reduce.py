@@ -1,4 +1,4 @@
-"""Fewer Gaussians for a mixture: those that agree become one, of the rest the heaviest are kept."""
+"""Reduce a mixture to fewer Gaussians: similar ones are merged, and of the rest the heaviest are kept."""
 
 from __future__ import annotations
 
@@ -9,16 +9,17 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 COMPARED = 4
-"""Yaw, x, y and rate: components are alike where these are."""
+"""Components are compared in their first four numbers: yaw, x, y and rate."""
 LEAST_STD = 1e-4
-"""Differences below are none [rad, m, rad/frame], however sure a component is."""
+"""Smaller differences are ignored [rad, m, rad/frame], however certain a component is."""
 ALIKE = 1.5
-"""Largest ratio of the standard deviations of yaw of components that are joined: a frame that may be far off is another
-explanation than the same frame taken at its word, and their mean would be neither."""
+"""Largest ratio of the yaw standard deviations of components that are merged. A frame with the wide error of a
+tail is another explanation than the same frame with its stated error, and their mean would be neither.
+"""
 
 
 class Mixture(NamedTuple):
-    """Weighted Gaussians, and which earlier one each continues."""
+    """Weighted Gaussians, each with the number of the earlier one that it continues."""
 
     log_weight: Float[Array, "component"]
     mean: Float[Array, "component state"]
@@ -27,15 +28,14 @@ class Mixture(NamedTuple):
 
 
 def wrapped(angle: Array) -> Array:
-    """An angle [rad] in [-π, π)."""
+    """An angle [rad] brought into [-π, π)."""
     return (angle + jnp.pi) % (2 * jnp.pi) - jnp.pi
 
 
 def reduced(mixture: Mixture, count: int, merge: Array) -> Mixture:
-    """`count` components: again and again the heaviest is joined by all within `merge` of its standard deviations.
-
-    Mean and covariance of what is joined are kept (Salmond, Mixture Reduction Algorithms for Target Tracking in
-    Clutter, 1990); nothing far apart is, nor what differs much in how sure it is. Yaw is the first number, and
+    """Reduce to `count` components: repeatedly merge the heaviest with all within `merge` of its standard deviations.
+    Merging keeps mean and covariance (Salmond, Mixture Reduction Algorithms for Target Tracking in Clutter, 1990).
+    Components that lie far apart, or that differ much in certainty, are not merged. The first number is yaw, which is
     circular.
     """
 
@@ -56,7 +56,7 @@ def reduced(mixture: Mixture, count: int, merge: Array) -> Mixture:
         covariance = jnp.einsum("k,kij->ij", share, mixture.covariance) + jnp.einsum(
             "k,ki,kj->ij", share, around, around
         )
-        # A slot that nothing is left for keeps something harmless.
+        # If no component is left for this place, it keeps a harmless covariance.
         covariance = jnp.where(jnp.isfinite(total), covariance, mixture.covariance[best])
         joined = Mixture(total, mixture.mean[best] + middle, covariance, mixture.parent[best])
         return jnp.where(near, -jnp.inf, left), joined

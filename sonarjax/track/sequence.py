@@ -1,4 +1,4 @@
-"""`Tracker`: a belief fed frame by frame; `track`: all frames of a log, perhaps smoothed."""
+"""`Tracker`: a belief that is updated frame by frame. `track`: all frames of a log, optionally smoothed."""
 
 from __future__ import annotations
 
@@ -21,41 +21,41 @@ from sonarjax.track.motion import Motion, Standing, TrackConfig, Turning
 from sonarjax.track.smooth import run_smoother
 
 MOST_EXPECTED = 2
-"""Modes of a belief from which a frame's hypotheses are refined, at most."""
+"""Most modes of a belief from which a frame is refined."""
 LEAST_EXPECTED = 0.02
 """Least probability [1] of such a mode."""
 WELL_KNOWN = math.radians(20.0)
-"""Largest standard deviation of its predicted yaw [rad]: refining does not reach farther."""
+"""Largest standard deviation of its predicted yaw [rad]; refinement does not reach farther."""
 
 
 @dataclass(frozen=True)
 class Tracked:
-    """What is believed after one frame."""
+    """The belief after one frame."""
 
     modes: tuple[Mode, ...]
-    """Possible poses, the likeliest first; empty before the target was first seen."""
+    """Possible poses, the most likely first; empty before the target was first seen."""
     recognition: Recognition | None
-    """What the frame alone says; None where it could not be recognized."""
+    """What this frame alone says; None if it could not be recognized."""
     error: str | None
-    """Why it could not."""
+    """Why it could not be recognized."""
     belief: Belief = field(repr=False)
-    """The whole mixture."""
+    """The complete mixture."""
 
     @property
     def best(self) -> Mode:
-        """The likeliest mode; where nothing was seen yet, NaN with infinite standard deviations."""
+        """The most likely mode. Before anything was seen, NaN with infinite standard deviations."""
         nan = math.nan
         return self.modes[0] if self.modes else Mode(nan, nan, nan, nan, np.full((4, 4), np.inf), math.inf, 0.0)
 
 
 @dataclass(frozen=True)
 class Track:
-    """What is believed after each frame, or with `smooth` after all; arrays (frame,), poses in the common frame."""
+    """The belief after each frame, or with `smooth` given all frames; arrays (frame,), poses in the common frame."""
 
     yaw: np.ndarray
-    """Yaw (frame,) of the likeliest mode [rad]; NaN before the target was first seen."""
+    """Yaw (frame,) of the most likely mode [rad]; NaN before the target was first seen."""
     yaw_std: np.ndarray
-    """Its standard deviation (frame,) [rad], if this mode is the right one."""
+    """Its standard deviation (frame,) [rad], provided that this mode is the right one."""
     x: np.ndarray
     """Position (frame,) along x [m]."""
     y: np.ndarray
@@ -63,32 +63,38 @@ class Track:
     rate: np.ndarray
     """Growth of the yaw (frame,) [rad/frame]."""
     probability: np.ndarray
-    """Probability (frame,) of the likeliest mode [1]."""
+    """Probability (frame,) of the most likely mode [1]."""
     frames: tuple[Tracked, ...]
-    """All modes, what each frame alone says, or why it could not be recognized."""
+    """For each frame all modes, and what the frame alone says or why it could not be recognized."""
     beliefs: Belief = field(repr=False)
     """The mixtures (frame, component)."""
     smoothed: bool = False
-    """Whether each frame's belief knows the later frames too."""
+    """Whether each frame's belief uses the later frames too."""
 
     @property
     def pose(self) -> Pose:
-        """The likeliest poses (frame,) [m, rad] on the floor."""
+        """The most likely poses (frame,) [m, rad] on the floor."""
         return Pose(self.x, self.y, self.yaw)
 
 
 class Tracker:
-    """A recognizer and a belief: call it with one frame after another."""
+    """A recognizer and a belief. Call it with one frame after another."""
 
     def __init__(
         self, recognizer: Recognizer, motion: Motion = Standing(), *, config: TrackConfig = TrackConfig(),
         threshold: float | None = None, expect: bool = True,
     ) -> None:  # fmt: skip
-        """Nothing is known yet. `threshold` is the recognizer's, if not the segmenter's own.
+        """Start without any knowledge.
+        Args:
+            recognizer: A recognizer of one target.
+            motion: How the object may move between frames.
+            config: How frames are weighted.
+            threshold: The recognizer's threshold; by default that of its segmenter.
+            expect: Refine each frame from the predicted poses too, so that the right hypothesis is among the frame's
+                even if matching misses it.
 
-        With `expect` each frame is refined from the predicted poses too: where matching goes astray, the right
-        hypothesis is still among the frame's.
-        Raises SonarjaxError for a recognizer of several targets, or what is no motion.
+        Raises:
+            SonarjaxError: The recognizer has several targets, or `motion` is not a motion.
         """
         if len(recognizer.targets) != 1:
             raise SonarjaxError(f"recognizer: expected one of a single target, got {len(recognizer.targets)}")
@@ -103,12 +109,18 @@ class Tracker:
     def __call__(
         self, image: Any, mask: Any = None, *, sonar_pose: Pose | None = None, elapsed: float = 1.0
     ) -> Tracked:
-        """The belief after one more frame `image` (range, beam), of which `mask` is true where it was measured.
+        """Update the belief by one more frame.
+        A frame that cannot be recognized raises nothing: the belief is predicted, and `error` says why.
 
-        `sonar_pose` is where the sonar is in the common frame [m, rad]: its floor point and heading; the common frame
-        is the sonar's own where none is given. `elapsed` is the time since the frame before, in frames.
-        What cannot be recognized costs this frame alone: the belief is predicted, and `error` says why.
-        Raises SonarjaxError for a sonar's pose or a time that cannot be used.
+        Args:
+            image: The frame (range, beam).
+            mask: True where the frame was measured (range, beam); None for everywhere.
+            sonar_pose: Pose of the sonar in the common frame [m, rad]: the floor point below it and its heading. By
+                default the common frame is the sonar's own.
+            elapsed: Time since the previous frame, in frames.
+
+        Raises:
+            SonarjaxError: The sonar's pose or the time cannot be used.
         """
         _sonar_numbers(sonar_pose)
         _check_elapsed(elapsed)
@@ -122,9 +134,9 @@ class Tracker:
     def recognize(
         self, image: Any, mask: Any = None, *, sonar_pose: Pose | None = None, elapsed: float = 1.0
     ) -> Recognition:
-        """What one frame (range, beam) says, refined from the predicted poses too; the belief stays as it is.
-
-        Raises SonarjaxError as a `Recognizer` does.
+        """What one frame (range, beam) alone says, refined from the predicted poses too. The belief stays as it is.
+        Raises:
+            SonarjaxError: As a `Recognizer`.
         """
         at = _sonar_numbers(sonar_pose)
         options: dict[str, Any] = {"threshold": self.threshold}
@@ -136,7 +148,9 @@ class Tracker:
         self, found: Recognition | None, *, sonar_pose: Pose | None = None, elapsed: float = 1.0,
         error: str | None = None,
     ) -> Tracked:  # fmt: skip
-        """The belief after a frame that was recognized elsewhere, or that could not be (None, and why)."""
+        """Update the belief by a frame that was recognized elsewhere, or that could not be recognized (None,
+        and the reason).
+        """
         at = _sonar_numbers(sonar_pose)
         _check_elapsed(elapsed)
         elapsed = elapsed if self._begun else 0.0
@@ -146,13 +160,13 @@ class Tracker:
         return Tracked(modes_of(self.belief), found, error, self.belief)
 
     def expected(self, sonar_pose: Pose | None = None, elapsed: float = 1.0) -> tuple[Mode, ...]:
-        """The modes as they will be in the common frame after `elapsed` [frames], the sonar then at `sonar_pose`."""
+        """The modes predicted for `elapsed` [frames] later in the common frame, with the sonar then at `sonar_pose`."""
         at = _sonar_numbers(sonar_pose)
         mean, covariance, _, _ = _predict(self.belief, jnp.asarray(at), jnp.float32(elapsed), self.numbers)
         return modes_of(replace(self.belief, mean=mean, covariance=covariance))
 
     def _starts(self, at: np.ndarray, elapsed: float) -> list[Pose]:
-        """Where the target is expected in the frame of a sonar at `at` (3,)."""
+        """Poses at which the target is expected, in the frame of a sonar at `at` (3,)."""
         modes = self.expected(Pose(*at.tolist()), elapsed)[:MOST_EXPECTED]
         known = [m for m in modes if m.probability >= LEAST_EXPECTED and m.yaw_std <= WELL_KNOWN]
         return [in_view(Pose(mode.x, mode.y, mode.yaw), at) for mode in known]
@@ -174,17 +188,26 @@ def track(
     threshold: float | None = None,
     expect: bool = True,
 ) -> Track:
-    """A belief over the target's pose after each of the `frames`, images (range, beam) in the order they were taken.
+    """Track a target over a sequence of frames: a belief over its pose after each of them.
+    This assumes one object, and a sonar whose geometry is right: only `TrackConfig.floor` allows for errors that all
+    frames share.
 
-    `motion` says how the object may move between them. `sonar_poses` (frame,) are the sonar's known poses [m, rad] in
-    a common frame on the floor: views from several places become one belief, in that frame. `masks` are true where a
-    pixel was measured, None for all; `times` (frame,) say when frames were taken, in the unit of the motion's rates,
-    and are the frames' numbers without. With `smooth` the belief of each frame knows the later ones too. The rest is
-    as in `Tracker`. It assumes one object, and a sonar whose geometry is right: what is wrong in all frames alike is
-    in `TrackConfig.floor` only.
+    Args:
+        frames: Images (range, beam) in the order in which they were taken.
+        recognizer: A recognizer of one target.
+        motion: How the object may move between frames.
+        sonar_poses: The sonar's known poses (frame,) [m, rad] in a common frame on the floor. Views from several places
+            then give one belief, in that frame.
+        masks: True where a pixel was measured, one for each frame; None for everywhere.
+        times: When each frame was taken (frame,), in the unit of the motion's rates. By default frames are 1 apart.
+        smooth: Let the belief of each frame use the later frames too.
+        config: How frames are weighted.
+        threshold: As in `Tracker`.
+        expect: As in `Tracker`.
 
-    Raises SonarjaxError for no frames, mixed shapes, masks, poses or times that do not fit them, frames none of which
-    can be recognized, and where the target is identified in none.
+    Raises:
+        SonarjaxError: There are no frames; shapes differ; masks, poses or times do not fit; no frame can be recognized;
+            or the target is identified in none.
     """
     images, masked, poses, elapsed = _checked(frames, masks, sonar_poses, times)
     tracker = Tracker(recognizer, motion, config=config, threshold=threshold, expect=expect)
@@ -196,7 +219,7 @@ def track(
 
 
 def joined(found: Sequence[Tracked], tracker: Tracker, smooth: bool = False) -> Track:
-    """The `Track` of what a tracker gave for each frame. Raises SonarjaxError where no frame shows the target."""
+    """The `Track` from what a tracker returned for each frame. Raises SonarjaxError if no frame shows the target."""
     if all(one.recognition is None for one in found):
         raise SonarjaxError(f"frames: none of {len(found)} could be recognized; the first: {found[0].error}")
     if not any(one.recognition is not None and one.recognition.identified for one in found):
@@ -251,7 +274,7 @@ def _poses(given: Any, count: int) -> list[Pose | None]:
 
 
 def _sonar_numbers(pose: Pose | None) -> np.ndarray:
-    """x, y [m] and yaw [rad] (3,) of the sonar. Raises SonarjaxError unless it is one pose of finite numbers."""
+    """x, y [m] and yaw [rad] (3,) of the sonar. Raises SonarjaxError unless it is a single pose of finite numbers."""
     if pose is None:
         return np.zeros(3, np.float32)
     if not isinstance(pose, Pose) or pose.shape != ():

@@ -1,8 +1,8 @@
-"""The beliefs of a log in the light of all its frames: what a filter says of a frame does not know the later ones.
-
-Each component of the last belief has a history, the components that it continues; along it the states are smoothed
-backwards (Rauch, Tung and Striebel, Maximum Likelihood Estimates of Linear Dynamic Systems, AIAA Journal 3, 1965). The
-weight of a history at a frame is what the filter gave it there and what the later frames add, which fades the same way.
+"""Smooth the beliefs of a log: update each frame's belief by the later frames, which the filter did not know.
+Each component of the last belief has a history: the chain of components that it continues. Along it the states are
+smoothed backwards (Rauch, Tung and Striebel, Maximum Likelihood Estimates of Linear Dynamic Systems, AIAA Journal 3,
+1965). The weight of a history at a frame is what the filter gave it there plus what the later frames add, which fades
+in the same way.
 """
 
 from __future__ import annotations
@@ -18,16 +18,15 @@ from sonarjax.track.belief import RATE, STATES, YAW, Belief, Numbers, predicted
 from sonarjax.track.reduce import wrapped
 
 RIDGE = 1e-6
-"""Added to the diagonal of a predicted covariance, as a share of it: what stands still has no spread of rates."""
+"""Added to the diagonal of a predicted covariance, as a share of it: an object at rest has no spread of rates."""
 LEAST_VARIANCE = 1e-10
-"""Added beside it [rad², m²]."""
+"""Also added to that diagonal [rad², m²]."""
 
 
 @jax.jit
 def run_smoother(beliefs: Belief, numbers: Numbers) -> Belief:
-    """The beliefs (frame, component) of a filter, smoothed: each component is now one whole history.
-
-    Histories that the filter dropped on the way are gone. `parent` and `gain` lose their meaning.
+    """Smooth the beliefs (frame, component) of a filter: afterwards each component is one complete history.
+    Histories that the filter dropped are lost. `parent` and `gain` lose their meaning.
     """
     last = jax.tree.map(lambda v: v[-1], beliefs)
     earlier, later = (jax.tree.map(lambda v, cut=cut: v[cut], beliefs) for cut in (slice(None, -1), slice(1, None)))
@@ -47,7 +46,7 @@ def run_smoother(beliefs: Belief, numbers: Numbers) -> Belief:
             before.mean[parent], before.covariance[parent], expected, spread, transition, mean, covariance
         )
         traced_back = jax.vmap(_traced_back)(transition, noise, mean, covariance)
-        unknown = parent == 0  # before a history began: all that is known of it comes from later frames
+        unknown = parent == 0  # the history had not begun here, so only later frames say anything about it
         new_mean, new_covariance = (
             jnp.where(unknown.reshape(-1, *[1] * (back.ndim - 1)), back, forth)
             for back, forth in zip(traced_back, smoothed, strict=True)
@@ -73,7 +72,7 @@ def _smoothed(
 
 
 def _traced_back(transition: Array, noise: Array, mean: Array, covariance: Array) -> tuple[Array, Array]:
-    """The state before `mean`, of an object of which nothing else was known; its shared errors stay as they are."""
+    """The state before `mean`, if nothing else is known about the object; its shared errors stay as they are."""
     back = jnp.eye(STATES).at[YAW, RATE].set(-transition[YAW, RATE])
     drift = noise.at[4, 4].set(0.0)
     return back @ mean, back @ (covariance + drift) @ back.T
