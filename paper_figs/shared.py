@@ -73,16 +73,18 @@ def has_run(runs: Path, experiment: str) -> bool:
     return True
 
 
-Line = tuple[str, float | None, Callable[[dict[str, Any]], Any]]
+Take = Callable[[dict[str, Any]], Any]
+Line = tuple[str, float | None, Take] | tuple[str, float | None, Take, str]
+"""One of a script's NUMBERS: what it is, what the paper has, how to take ours from the report, and from which of its
+experiments, where that is not the first."""
 
 
-def listed(runs: Path, experiment: str, lines: Sequence[Line]) -> list[Number]:
-    """Numbers as (what, the paper's, how to take ours from the report); ours is None where there is no such number."""
-    report = load(runs, experiment).report if has_run(runs, experiment) else None
-    return [Number(what, said, None if report is None else _taken(take, report)) for what, said, take in lines]
+def number(runs: Path, experiment: str, what: str, paper: float | None, take: Take) -> Number:
+    """A line of a script's NUMBERS, with what `take` finds in the report of the newest run."""
+    return Number(what, paper, _taken(take, load(runs, experiment).report) if has_run(runs, experiment) else None)
 
 
-def _taken(take: Callable[[dict[str, Any]], Any], report: dict[str, Any]) -> float | None:
+def _taken(take: Take, report: dict[str, Any]) -> float | None:
     try:
         value = take(report)
     except (KeyError, IndexError, StopIteration):  # the run left this part out
