@@ -14,8 +14,9 @@ from matplotlib.figure import Figure
 
 import sonarjax as sj
 from experiments.common.metrics import markdown
+from experiments.common.runs import has_run, load
 from paper_figs import ablations, style
-from paper_figs.shared import Line, Number, has_run, load, number
+from paper_figs.shared import Line, Number, number
 
 FOLDER = Path(__file__).resolve().parent
 SCRIPT = re.compile(r"(fig|tab|sec|ext)\d\d\w*")
@@ -40,7 +41,7 @@ python -m paper_figs --index             # this table
 
 
 class Script(Protocol):
-    """What each figure script has, beside NUMBERS if it is more than a picture."""
+    """What each figure script has; and NUMBERS, where there are some that no row of its reports calls by its ITEM."""
 
     ITEM: str
     CAPTION: str
@@ -77,9 +78,13 @@ def is_smoke(script: Script, runs: Path) -> bool:
 
 
 def numbers(script: Script, runs: Path) -> list[Number]:
-    """The script's NUMBERS from the newest runs; ours is None where there is no such number."""
+    """The rows of its item in the newest runs' reports, and its NUMBERS, of which ours is None where there is none."""
+    reports = [load(runs, name).report for name in script.EXPERIMENTS if has_run(runs, name)]
+    rows = [row for report in reports for row in report.get("rows", ()) if row.get("item") == script.ITEM]
     lines: Sequence[Line] = getattr(script, "NUMBERS", ())
-    return [number(runs, (*of, script.EXPERIMENTS[0])[0], what, paper, take) for what, paper, take, *of in lines]
+    return [Number(row["what"], row["paper"], row["ours"]) for row in rows] + [
+        number(runs, (*of, script.EXPERIMENTS[0])[0], what, paper, take) for what, paper, take, *of in lines
+    ]
 
 
 def command(experiment: str) -> str:

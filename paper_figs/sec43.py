@@ -48,11 +48,3 @@ def _bars(ax: Axes, place: np.ndarray, values: list[float], width: float, color:
     bars = ax.bar(place, values, width, color=color)
     bars[0].set(edgecolor=style.PAPER, linewidth=1.3)
     ax.bar_label(bars, [form.format(value) for value in values], padding=1)
-
-
-lines = (("PSNR before [dB]", paper.PSNR_RAW, "psnr_raw"), ("PSNR after [dB]", paper.PSNR_MAP, "psnr"),
-         ("PSNR gain [dB]", paper.PSNR_GAIN, "psnr_gain"), ("IoU", paper.IOU, "iou"))  # fmt: skip
-NUMBERS = [
-    (what, said, lambda report, key=key: report["segmenters"][0][key]) for what, said, key in lines
-]  # fmt: skip
-"""PSNR and IoU of the first segmenter."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,7 +12,7 @@ from matplotlib.axes import Axes
 
 import sonarjax as sj
 from experiments.common.frames import sonar_for
-from experiments.common.runs import find_run, load_arrays, load_report
+from experiments.common.runs import has_run, load
 from sonarjax.plot import plot_fan
 
 BACKGROUND, TOUCHED = 0.5, 0.25  # of a semantic image, and how far off it an object or its shadow is
@@ -28,49 +27,6 @@ class Number(NamedTuple):
     """What the paper prints, None where it says nothing."""
     ours: float | None
     """What the run gave, None where there is no run."""
-
-
-@dataclass(frozen=True)
-class Run:
-    """A finished run of an experiment."""
-
-    folder: Path
-    """Where it lies."""
-    report: dict[str, Any]
-    """Its results.json."""
-
-    @property
-    def smoke(self) -> bool:
-        """Whether it was made with --preset smoke."""
-        return self.report["preset"] == "smoke"
-
-    def arrays(self, name: str) -> dict[str, np.ndarray]:
-        """Arrays that it kept. Raises SonarjaxError when they are not there."""
-        return load_arrays(self.folder, name)
-
-
-def load(runs: Path, experiment: str) -> Run:
-    """The newest run of an experiment.
-
-    Raises SonarjaxError, which says how to make one, when there is none, and when what lies there is no report.
-    """
-    try:
-        folder = find_run(runs, experiment)
-    except sj.SonarjaxError:
-        raise
-    except (AttributeError, LookupError, TypeError, ValueError) as error:
-        text = f"{runs / experiment.split()[0]}: a results.json there is of other code ({error!r})"
-        raise sj.SonarjaxError(f"{text}; remove it and run python -m experiments.{experiment} again") from error
-    return Run(folder, load_report(folder))
-
-
-def has_run(runs: Path, experiment: str) -> bool:
-    """Whether an experiment has a finished run."""
-    try:
-        load(runs, experiment)
-    except sj.SonarjaxError:
-        return False
-    return True
 
 
 Take = Callable[[dict[str, Any]], Any]
