@@ -294,8 +294,8 @@ def test_the_readme_has_all_experiments_and_no_others():
     rows = re.findall(
         r"^\|.*`python -m experiments\.([^`]+)`", (FOLDER / "README.md").read_text(encoding="utf-8"), re.M
     )
-    ablations = [f"ablate --vary {vary}" for vary in SWEEPS]
-    assert sorted(rows) == sorted({*experiments(), *ablations} - {"ablate"})
+    assert len(rows) == len(set(rows)) and {row.split()[0] for row in rows} == set(experiments())
+    assert {f"ablate --vary {vary}" for vary in SWEEPS} <= set(rows)
 
 
 def test_the_list_has_every_question(capsys: pytest.CaptureFixture[str]):
