@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import io
 import json
+import math
 import re
 from html.parser import HTMLParser
 from pathlib import Path
@@ -20,7 +21,7 @@ from experiments import ablate, bench_dataset, evaluate_segmenters, fit_threshol
 from experiments.common import paper
 from experiments.common.runs import load
 from experiments.common.tables import correlation_table, receiver_curve
-from paper_figs import ablations, baseline, docs_slice, index, readme, report, style
+from paper_figs import ablations, baseline, docs_pages, docs_slice, index, readme, report, style
 from paper_figs.__main__ import main
 from sonarjax.io import SonarjaxError, write_npz
 from sonarjax.scene import objects
@@ -248,6 +249,7 @@ def test_every_script_is_indexed_and_every_row_has_a_script(runs: Path) -> None:
         "__init__",
         "__main__",
         "baseline",
+        "docs_pages",
         "docs_slice",
         "index",
         "matrix",
@@ -277,6 +279,27 @@ def test_drawn_slice_shows_what_a_ray_would_meet() -> None:
     assert on_far_front[:, 1].max() == pytest.approx(far[2], abs=2e-3)
     assert seen[np.abs(seen[:, 0] - fronts[0]) < 1e-3][:, 1].min() == pytest.approx(0.0, abs=2e-3)
     assert len(docs_slice.draw().axes) == 3
+
+
+def test_drawn_axes_are_those_of_the_messages() -> None:
+    """The same beam in both frames: a message's Y points to the right of the drawing, ours to the left."""
+    message, ours, _ = docs_pages.files().axes
+    for ax, azimuth in (
+        (message, lambda y, ahead: math.atan2(-y, ahead)),
+        (ours, lambda y, ahead: math.atan2(y, ahead)),
+    ):
+        (beam,) = ax.lines
+        right, ahead = beam.get_xydata()[-1]
+        y = right if ax is message else -right
+        assert math.degrees(azimuth(y, ahead)) == pytest.approx(docs_pages.BEAM_DEG)
+
+
+@pytest.mark.parametrize("name", docs_pages.DRAWINGS)
+def test_drawings_are_on_a_page(name: str) -> None:
+    assert (PROJECT / "paper_figs" / "drawn" / f"{name}.png").is_file()
+    pages = [page.read_text(encoding="utf-8") for page in (PROJECT / "docs").glob("*.md")]
+    assert sum(f"drawn/{name}.png" in page for page in pages) == 1
+    assert docs_pages.DRAWINGS[name]().axes
 
 
 @pytest.mark.parametrize("name", index.scripts())
