@@ -1,4 +1,5 @@
 """How compiled functions are run. `Engine` is plain JAX; `sonarjax.cpu.CpuEngine` replaces it where speed matters.
+
 Host functions such as `template_bank` and `Recognizer` take an engine and run their compiled parts through it.
 """
 

@@ -67,6 +67,7 @@ TO_FAN = ("width",)
 
 def one_frame(spec: str) -> Frame:
     """The only frame (range, beam) of a file, or frame N of `path:N`; a fan picture is given as (row, column).
+
     Raises:
         SonarjaxError: As `read_frames`, or the file holds several frames.
     """
@@ -93,6 +94,7 @@ def to_bag(specs: Sequence[str], out: str, options: FanOptions = FanOptions()) -
 
 def convert(frame: Frame, out: str, options: FanOptions = FanOptions()) -> str:
     """Write `frame`: a fan picture as a polar frame if `out` ends in .npz, a polar frame as a fan picture if in .png.
+
     Returns:
         One line that says what was written.
 

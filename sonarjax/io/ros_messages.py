@@ -54,6 +54,7 @@ def is_sonar_image(msgtype: str) -> bool:
 
 def message_frame(message: Any, name: str, stem: str, number: int) -> Frame:
     """Turn a message into a frame (range, beam).
+
     Unsigned integers are divided by their largest value. Signed integers must not be negative. Floating point must lie
     in [0, 1]. Beams are put in ascending azimuth (to port).
 
@@ -99,6 +100,7 @@ def message_frame(message: Any, name: str, stem: str, number: int) -> Frame:
 
 def frame_fields(frame: Frame, time_ns: int) -> SimpleNamespace:
     """The fields of a message for a frame (range, beam), as plain values from which any message class can be filled.
+
     Raises:
         SonarjaxError: The frame's geometry is not known, or a pixel was not measured, which a message cannot express.
     """

@@ -1,4 +1,5 @@
 """Banks that take little memory, for catalogues: templates as bytes, spectra computed anew for each frame, few shapes.
+
 A bank of 36 templates takes a few hundred kilobytes instead of ten megabytes, and twice the time to match.
 """
 

@@ -17,6 +17,7 @@ SLACK_M = 0.06
 @dataclass(frozen=True)
 class RefineConfig:
     """How `refine_pose` and `refine_yaw` search.
+
     Only `quality`, the number of blurs, and whether `polish` is 0 mean other compiled code.
     """
 

@@ -61,6 +61,7 @@ def refine_yaw(
     engine: Engine = PLAIN,
 ) -> YawEstimate:
     """Refine yaw, x and y of an object on the floor by Levenberg–Marquardt on 1 − NCC of the rendered template.
+
     This is `refine_pose` with these three numbers free, with one simplification: a yaw that the frame does not
     determine is not put back to its start. Yaw, x and y have derivatives as the pose of `refine_pose` has.
 

@@ -48,6 +48,7 @@ class IdentificationRule:
 
 def read_rule(found: Any, name: str) -> IdentificationRule | None:
     """Read a rule that `as_json` wrote; None if there is none. `name` is the file's name in messages.
+
     Raises:
         SonarjaxError: What was found is not a rule.
     """

@@ -53,6 +53,7 @@ def segment(
     tile: tuple[int, int] = TILE,
 ) -> Float[Array, "range beam"]:
     """Semantic map (range, beam) of a frame, by tiled inference: shadow 0, background 0.5, highlight 1.
+
     A pure function; use `jax.vmap` for a batch of frames.
 
     Args:
@@ -140,6 +141,7 @@ def _after_tiles(state: _Seen, mask: Bool[Array, "range beam"] | None, closer: i
 
 def _paste(state: _Seen, answer: Float[Array, "height width"], box: Box, wanted: Bool[Array, ""]) -> _Seen:
     """Replace the map by a closer look's answer, in the pixels that lie completely inside its box.
+
     Where the closer look is less sure than the map, their mean is used, so that an object that its box cuts off is not
     lost.
     """

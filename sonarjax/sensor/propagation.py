@@ -1,4 +1,5 @@
 """What range does to an echo: absorption, the device's time-varied gain, the elevation pattern, the pulse, the noise.
+
 All functions take slant ranges [m] or an image (range, beam) of mean energy, and return factors or an image.
 """
 
@@ -25,6 +26,7 @@ ARCSIN = (
 
 def fresh_absorption(frequency: Any, temperature: Any) -> Float[Array, "*batch"]:
     """One-way absorption [dB/m] in fresh water at `frequency` [Hz] and `temperature` [deg C], at most 20 °C.
+
     The viscous term A₃f² of Francois and Garrison (J. Acoust. Soc. Am. 72, 1982, part II), the only one without salts.
     """
     t = jnp.asarray(temperature, jnp.float32)
@@ -34,6 +36,7 @@ def fresh_absorption(frequency: Any, temperature: Any) -> Float[Array, "*batch"]
 
 def absorption_loss(ranges: Float[Array, "*batch"], absorption: Any) -> Float[Array, "*batch"]:
     """Share of the energy left after two-way `absorption` [dB/m] of an echo at `ranges` (...) [m].
+
     Urick, Principles of Underwater Sound (1983), ch. 5.
     """
     return 10 ** (-0.2 * jnp.asarray(absorption, jnp.float32) * ranges)
@@ -78,6 +81,7 @@ def with_skirts(sonar: Sonar) -> Sonar:
 
 def floor_elevation(sonar: Sonar) -> Float[Array, "range beam"]:
     """Elevation [rad] in the sonar frame of the floor that each pixel (range, beam) shows; roll is ignored.
+
     From r·(sin φ cos T − cos φ cos θ sin T) = −height. Straight down where the range is less than the height. No
     source: plane geometry in the package's frames.
     """
@@ -103,6 +107,7 @@ def range_middles(sonar: Sonar) -> Float[Array, "range"]:
 
 def reference_range(sonar: Sonar) -> Float[Array, ""]:
     """Slant range [m] at which the beam axis meets the floor, limited to between 1.05 and 6 heights.
+
     It depends on the sonar's height and tilt only, not on the window, so a crop of a frame is processed as the frame
     is. No source: a choice of ours.
     """
@@ -136,6 +141,7 @@ def pulse_blur(image: Float[Array, "range beam"], pulse_bins: Any) -> Float[Arra
 
 def noise_floor(ranges: Float[Array, "*batch"], level: Any, range_max: Any) -> Float[Array, "*batch"]:
     """Mean energy (...) of the receiver's noise after its gain: level·(r/range_max)² at `ranges` (...) [m].
+
     `level` is the noise energy at `range_max` [m]. The noise in the sonar equation does not depend on range (Urick,
     1983, ch. 2); a gain of 20 log r makes it grow so. No source for that gain: a model of ours, independent of the
     time-varied gain of the echoes.
@@ -147,6 +153,7 @@ def late_reverberation(
     image: Float[Array, "range beam"], share: Any, length: Any, range_bin: Any
 ) -> Float[Array, "range beam"]:
     """Energy (range, beam) that arrives late by way of floor, walls and object: an exponential tail along range.
+
     It fills shadows from their near end. Reverberation decays exponentially in a closed basin (Kuttruff, Room
     Acoustics, 2009, ch. 5); one share and one length for a frame are models of ours.
 

@@ -61,6 +61,7 @@ class GeometryStd:
 @record
 class Sonar:
     """An imaging sonar at (0, 0, height), tilted down by `tilt`; a pytree, differentiable in every float.
+
     Its images have shape (range, beam): rows from near to far, columns in ascending azimuth (column 0 is
     starboard-most).
     """
@@ -105,6 +106,7 @@ class Sonar:
     @classmethod
     def preset(cls, name: str, **overrides: Any) -> Sonar:
         """Make a device by name, with some fields replaced.
+
         Args:
             name: A name in `sonarjax.sonar.PRESETS`.
             overrides: Values for fields of `Sonar`, in metres and radians.
@@ -122,6 +124,7 @@ class Sonar:
     @classmethod
     def from_toml(cls, path: str | Path) -> Sonar:
         """Read a `sonar.toml`, in which angles are in degrees where the key says `_deg`.
+
         Raises:
             SonarjaxError: A key is unknown or missing, or a value is impossible. The message names the file and the
                 key.
@@ -132,6 +135,7 @@ class Sonar:
 
     def to_toml(self, path: str | Path) -> None:
         """Write a `sonar.toml` that `from_toml` reads back as the same sonar.
+
         Raises:
             SonarjaxError: A value is impossible, traced or batched, or the file cannot be written.
         """
@@ -166,6 +170,7 @@ class Sonar:
     @property
     def azimuth_edges(self) -> Float[Array, "edge"]:
         """Edges (edge,) of the beams [rad], one more than there are beams.
+
         Inner edges lie midway between beam centres. An outer edge is as far from its centre as that beam's inner edge.
         """
         centers = jnp.asarray(self.azimuth)

@@ -1,4 +1,5 @@
 """Imaging sonars by name: `preset("didson-hf", tilt=0.35)` gives a `Sonar`, `PRESETS` lists the devices.
+
 A name stands for a device: beams, aperture and frequency. All presets are mounted in the paper's tank (Table 1 and
 §4.1): tilt 15°, 0.9 m above the floor, window 1.5–4.0 m in 512 bins. Where a recording's own header or a `sonar.toml`
 gives beam angles, prefer them to the idealised ones here.
@@ -30,6 +31,7 @@ WINDOW_M = (1.5, 4.0)
 
 def even_beams(n_beams: int, field_of_view: float) -> Float64[np.ndarray, "beam"]:
     """Centres (beam,) of equally wide beams whose outer edges span `field_of_view`, in the unit of that argument.
+
     >>> even_beams(4, 20.0).tolist()
     [-7.5, -2.5, 2.5, 7.5]
     """
@@ -93,6 +95,7 @@ def azimuth_from_deg(degrees: Any) -> Float[Array, "beam"]:
 
 def preset(name: str, **overrides: Any) -> Sonar:
     """Make the device `name` of `PRESETS`, with fields of `Sonar` replaced by `overrides` (metres and radians).
+
     Raises:
         SonarjaxError: The name or a field is unknown (the message lists the known ones), or a value is impossible.
     """

@@ -1,4 +1,5 @@
 """`sonar.toml`: a `Sonar` as a text file, in metres, and in degrees where the key says `_deg`.
+
 Reading checks every key, type and value, and raises one clear `SonarjaxError`. A written file reads back as the same
 sonar. For a missing key the preset's value is used, or the default of `Sonar`.
 """
@@ -64,6 +65,7 @@ _NAMES = (
 
 def read_sonar(path: str | Path) -> Sonar:
     """Read the sonar from a `sonar.toml`.
+
     Raises:
         SonarjaxError: The file is missing, a folder, not UTF-8 or not TOML, or `sonar_from_dict` refuses what it holds.
             The message names the file and the key.
@@ -73,6 +75,7 @@ def read_sonar(path: str | Path) -> Sonar:
 
 def sonar_from_dict(table: Mapping[str, Any], source: str) -> Sonar:
     """Make a sonar from a parsed `sonar.toml`.
+
     If `n_beams` or `field_of_view_deg` differs from the preset's, the beams are evenly spaced; if only one of the two
     is given, the other is the preset's.
 
@@ -107,6 +110,7 @@ def sonar_from_dict(table: Mapping[str, Any], source: str) -> Sonar:
 
 def write_sonar(sonar: Sonar, path: str | Path) -> None:
     """Write a `sonar.toml` in one step; `read_sonar` reads it back as the same sonar.
+
     Raises:
         SonarjaxError: A value is impossible, traced or batched, or the file cannot be written.
     """

@@ -25,6 +25,7 @@ class Standing:
 @dataclass(frozen=True)
 class Turning:
     """An object that turns at a slowly changing rate: yaw grows by the rate, and the rate is a random walk.
+
     Rates are per frame, or per unit of the times that are given with the frames.
     """
 
