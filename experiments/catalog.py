@@ -43,19 +43,21 @@ HEADS = {
     "refused": "of these refused", "yaw_median": "yaw, median [°]", "yaw_p95": "yaw, 95 % [°]",
 }  # fmt: skip
 
-SMOKE = {"frames": 1, "of_strangers": 1, "objects": 3, "tilts_deg": (20.0,), "segmenter": "none"}
+SMOKE = {"frames": 1, "of_strangers": 1, "objects": 2, "strangers": 1, "tilts_deg": (20.0,), "segmenter": "none"}
 
 
 @dataclass(frozen=True)
 class Settings:
     """What is shown."""
 
-    frames: int = 4
+    frames: int = 2
     """Frames of each object on drawn devices and on the judge; half as many of the widest family."""
-    of_strangers: int = 3
+    of_strangers: int = 1
     """Frames of each object that is not in the catalogue, in each set."""
     objects: int = 24
     """Objects of the catalogue, from its beginning."""
+    strangers: int = 8
+    """Objects that are not in it, from the beginning of their list."""
     segmenter: str = "pix2pix"
     """A segmenter's name, or a weights file."""
     tilts_deg: tuple[float, ...] = TILTS_DEG
@@ -109,7 +111,10 @@ def _measure(
     """What was found in each frame of a set, of the catalogue's objects and of others."""
     count = settings.frames if source != "widest family" else max(settings.frames // 2, 1)
     shows = _judged if source == JUDGE else partial(_drawn, source)
-    parts = {"known": (known, count, 0), "others": (strangers(), settings.of_strangers, 100_000)}
+    parts = {
+        "known": (known, count, 0),
+        "others": (dict(list(strangers().items())[: settings.strangers]), settings.of_strangers, 100_000),
+    }
     found: dict[str, list[dict[str, Any]]] = {}
     with Progress(source, sum(each * len(entries) for entries, each, _ in parts.values()), unit="frame") as progress:
         for part, (entries, each, first) in parts.items():

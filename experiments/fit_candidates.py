@@ -29,7 +29,7 @@ from experiments.common.progress import Progress
 from experiments.common.runs import Job
 from experiments.common.validation import ODD, SEVERITIES
 from sonarjax.match import FirstLook, SearchConfig, Sighting, TargetSearch, leading
-from sonarjax.refine import COMPARISON, MAP_REFINEMENT, look_closely, plan_refinement, quick_evidence
+from sonarjax.refine import COMPARISON, MAP_REFINEMENT, look_closely, plan_shared, quick_evidence
 from sonarjax.render import WindowSize
 
 RIDGE = 1.0
@@ -107,7 +107,7 @@ def _candidates(
 
 
 def _window(search: TargetSearch, at: sj.Pose) -> WindowSize:
-    return plan_refinement(search.mesh, search.sonar, at, MAP_REFINEMENT)
+    return plan_shared(search.mesh, search.sonar, at, MAP_REFINEMENT)
 
 
 def fit(frames: list[dict[str, Any]]) -> dict[str, float]:

@@ -1,9 +1,11 @@
-"""How good does the paper's own recipe get? Eq. 3 alone, 30 epochs of the 6,780 pairs of §3.1, at width 16.
+"""How good do the paper's two networks get? Eq. 3 alone, 30 epochs of the 6,780 pairs of §3.1, at width 16.
 
 python -m experiments.train_paper [--seeds 0 1 2] [--preset smoke] [--help]
+python -m experiments.train_paper --recipe cpu --alone       the 'discriminative model' of §2.2
 
 `--into experiments/paper-cpu.safetensors` made the file beside this script, from seed 0; its threshold is that of
-`fit_threshold`. An interrupted training goes on from its last checkpoint.
+`fit_threshold`. The second command's weights are `discriminative.safetensors`: the U-Net on the pairs of the shipped
+network, by cross-entropy alone. An interrupted training goes on from its last checkpoint.
 """
 
 from __future__ import annotations
@@ -21,9 +23,9 @@ from experiments.common.engine import engine
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns
 from experiments.common.runs import Job, code_digest
-from experiments.train_discriminative import train_to_the_end
+from experiments.common.trainings import train_to_the_end
 from sonarjax.io.safetensors import read_safetensors, write_safetensors
-from sonarjax.segment.training import Recipe, find_recipe
+from sonarjax.segment.training import Recipe, discriminative, find_recipe
 from sonarjax.segment.training.batches import Batches
 from sonarjax.segment.training.evaluate import predict_all, score
 from sonarjax.segment.weights import load_generator
@@ -45,8 +47,10 @@ SMALL = {"pairs": 16, "passes": 2, "validation_pairs": 8, "checkpoint_steps": 4}
 class Settings:
     """What is trained."""
 
-    recipe: Literal["paper-cpu", "paper"] = "paper-cpu"
+    recipe: Literal["paper-cpu", "paper", "cpu"] = "paper-cpu"
     """Whose networks and pairs; see `sonarjax train`."""
+    alone: bool = False
+    """By cross-entropy alone, as the paper's 'discriminative model'."""
     small: bool = False
     """A training of seconds instead, which only shows that it runs."""
     into: str = ""
@@ -55,7 +59,8 @@ class Settings:
 
 def run(settings: Settings, job: Job) -> Report:
     """Metrics of the best and of the last epoch, those of all epochs, and how fast it was."""
-    recipe = replace(find_recipe(settings.recipe), run_seed=job.seed)
+    recipe = find_recipe(settings.recipe)
+    recipe = replace(discriminative(recipe) if settings.alone else recipe, run_seed=job.seed)
     if settings.small:
         recipe = replace(recipe, networks=replace(recipe.networks, width=4, discriminator_width=4), **SMALL)
     folder = job.folder / code_digest() / "training"  # never on from other code's checkpoint

@@ -9,14 +9,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from experiments.ablate import EVERYTHING, NOTHING, SWEEPS
 from paper_figs import style
-from paper_figs.shared import Number, in_order, listed, load, row_where
+from paper_figs.shared import Line, in_order, load, row_where
 
 LINES = ("-", "--", ":")
 WAY = "curve"
@@ -25,19 +25,9 @@ SHARES = {"share of frames": ("best_accuracy", "bin_right")}
 CORRELATIONS = {"correlation": ("score_own", "score_wrong", "score_other")}
 
 
-class Told(NamedTuple):
-    """A number that the index tells."""
-
-    what: str
-    """What it is, with its unit."""
-    vary: str
-    """Of which sweep."""
-    value: Any
-    """At which of its values."""
-    key: str
-    """Which measure."""
-    of: str = "pix2pix"
-    """Of which map."""
+def told(what: str, vary: str, value: Any, key: str, of: str = "pix2pix") -> Line:
+    """A number for the index: measure `key` of the map `of` at one of the values of a sweep."""
+    return what, None, lambda report: row_where(report["rows"], value=value, map=of)[key], f"ablate --vary {vary}"
 
 
 @dataclass(frozen=True)
@@ -50,8 +40,7 @@ class Ablation:
     """What was varied: names of `SWEEPS`."""
     panels: Mapping[str, Sequence[str]]
     """Measures by the panel's title."""
-    told: Sequence[Told]
-    """Numbers for the index."""
+    NUMBERS: Sequence[Line]
     log: Sequence[str] = ()
     """Panels whose upward axis is logarithmic."""
 
@@ -80,15 +69,6 @@ class Ablation:
         figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
         style.letters(axes.flat)
         return figure
-
-    def numbers(self, runs: Path) -> list[Number]:
-        """What the index tells of each sweep."""
-        return [
-            number
-            for one in self.told
-            for number in listed(runs, f"ablate --vary {one.vary}", [(one.what, None, lambda report, one=one: row_where(
-                report["rows"], value=one.value, map=one.of)[one.key])])
-        ]  # fmt: skip
 
 
 def _numeric(rows: Sequence[dict[str, Any]]) -> bool:
@@ -141,7 +121,7 @@ SCRIPTS = {
         "and non-target (dashed).",
         ("severity",),
         {"accuracy": ("accuracy", "best_accuracy"), "score": ("score_target", "score_other")},
-        [Told(f"pix2pix, severity {value:g}: accuracy", "severity", value, "accuracy") for value in (0.0, 1.0, 2.0)],
+        [told(f"pix2pix, severity {value:g}: accuracy", "severity", value, "accuracy") for value in (0.0, 1.0, 2.0)],
     ),
     "ext07_yaw_bin": Ablation(
         "Ext. 7",
@@ -151,7 +131,7 @@ SCRIPTS = {
         ("yaw_bin",),
         {"median error [°]": ("yaw_median", "bin_median", "floor_median"), "over 20° off": ("yaw_astray", "bin_astray"),
          "time a frame [ms]": ("yaw_ms", "bin_ms")},
-        [Told(f"pix2pix, bins of {width:g}°: {what} [°]", "yaw_bin", width, key) for width in (2.0, 10.0, 30.0)
+        [told(f"pix2pix, bins of {width:g}°: {what} [°]", "yaw_bin", width, key) for width in (2.0, 10.0, 30.0)
          for key, what in (("bin_median", "bin error"), ("yaw_median", "refined"))],
         log=("median error [°]",),
     ),
@@ -162,7 +142,7 @@ SCRIPTS = {
         "(filled), the best one of other yaws (hollow) and with the other object (×). Lines: both.",
         ("template",),
         SHARES | CORRELATIONS,
-        [Told(f"pix2pix, template of {part}: accuracy, best threshold", "template", part, "best_accuracy")
+        [told(f"pix2pix, template of {part}: accuracy, best threshold", "template", part, "best_accuracy")
          for part in SWEEPS["template"].values],
     ),
     "ext09_geometry": Ablation(
@@ -172,7 +152,7 @@ SCRIPTS = {
         "best one of other yaws (dashed) and with the other object (dotted).",
         ("tilt", "distance"),
         SHARES | CORRELATIONS,
-        [Told(f"pix2pix, {what}: accuracy, best threshold", vary, off, "best_accuracy") for what, vary, off in (
+        [told(f"pix2pix, {what}: accuracy, best threshold", vary, off, "best_accuracy") for what, vary, off in (
             ("right geometry", "tilt", 0.0), ("tilt 5° too steep", "tilt", 5.0), ("0.3 m too far", "distance", 0.3))],
     ),
     "ext10_sensor": Ablation(
@@ -181,7 +161,7 @@ SCRIPTS = {
         "their own template, PSNR and IoU of the maps, and accuracy at the best threshold. Lines: the whole sensor.",
         ("sensor",),
         {"NCC own": ("score_own",), "PSNR [dB]": ("psnr",), "IoU": ("iou",), "accuracy": ("best_accuracy",)},
-        [Told(f"NCC own of raw frames, {part} switched off", "sensor", part, "score_own", of="none")
+        [told(f"NCC own of raw frames, {part} switched off", "sensor", part, "score_own", of="none")
          for part in (NOTHING, "speckle", EVERYTHING)],
     ),
     "ext11_training": Ablation(
@@ -192,7 +172,7 @@ SCRIPTS = {
         ("training",),
         {"IoU": ("iou_mean", "iou_highlight", "iou_shadow"), "PSNR gain [dB]": ("psnr_gain_db",),
          "IoU on the way": (WAY,)},
-        [Told(f"{name}: IoU", "training", name, "iou_mean")
+        [told(f"{name}: IoU", "training", name, "iou_mean")
          for name in ("eq. 3", "no discriminator", "no skips", "shipped loss")],
     ),
 }  # fmt: skip

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from paper_figs import style
-from paper_figs.shared import Number, listed, load, row_where
+from paper_figs.shared import load, row_where
 
 ITEM = "Ext. 1"
 CAPTION = (
@@ -92,10 +92,9 @@ def _cost(ax: Axes, rows: list[dict[str, Any]]) -> None:
     ax.legend(loc="lower center", ncols=2, columnspacing=0.8, handlelength=0.6, handletextpad=0.3)
 
 
-def numbers(runs: Path) -> list[Number]:
-    """Errors of each segmenter's best bin and refined yaw."""
-    return listed(runs, "continuous_yaw", [
-        (f"{name}, {yaw}, median error [°]", None,
-         lambda report, name=name, yaw=yaw: row_where(report["errors"], segmenter=name, yaw=yaw)["median"])
-        for name in ("pix2pix", "none") for yaw in ("best of the grid", "refined")
-    ])  # fmt: skip
+NUMBERS = [
+    (f"{name}, {yaw}, median error [°]", None,
+     lambda report, name=name, yaw=yaw: row_where(report["errors"], segmenter=name, yaw=yaw)["median"])
+    for name in ("pix2pix", "none") for yaw in ("best of the grid", "refined")
+]  # fmt: skip
+"""Errors of each segmenter's best bin and refined yaw."""

@@ -7,7 +7,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from paper_figs import style
-from paper_figs.shared import Number, in_order, listed, load, row_where
+from paper_figs.shared import in_order, load, row_where
 
 ITEM = "Ext. 2"
 CAPTION = (
@@ -40,10 +40,9 @@ def draw(runs: Path) -> Figure:
     return figure
 
 
-def numbers(runs: Path) -> list[Number]:
-    """Shares that end within 1°, started 20° off."""
-    return listed(runs, "yaw_basin", [
-        (f"{name}: within 1° from {start:+.0f}°", None,
-         lambda report, name=name, start=start: row_where(report["rows"], map=name, start_deg=start)["within_1"])
-        for name in ("labels", "pix2pix") for start in (-20.0, 20.0)
-    ])  # fmt: skip
+NUMBERS = [
+    (f"{name}: within 1° from {start:+.0f}°", None,
+     lambda report, name=name, start=start: row_where(report["rows"], map=name, start_deg=start)["within_1"])
+    for name in ("labels", "pix2pix") for start in (-20.0, 20.0)
+]  # fmt: skip
+"""Shares that end within 1°, started 20° off."""

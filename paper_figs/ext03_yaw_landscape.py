@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from paper_figs import style
-from paper_figs.shared import Number, listed, load
+from paper_figs.shared import load
 
 ITEM = "Ext. 3"
 CAPTION = (
@@ -65,11 +65,10 @@ def _derivatives(ax: Axes, slopes: dict[str, Any], name: str) -> None:
            xlim=(-limit, limit), ylim=(-limit, limit))  # fmt: skip
 
 
-def numbers(runs: Path) -> list[Number]:
-    """Errors and signs of the derivative at the finest blur."""
-    return listed(runs, "yaw_landscape", [
-        (f"{name}: {what}", None,
-         lambda report, name=name, key=key: [row for row in report["derivatives"] if row["map"] == name][-1][key])
-        for name in ("labels", "pix2pix")
-        for key, what in (("error", "derivative's RMS error over its RMS"), ("sign", "sign right"))
-    ])  # fmt: skip
+NUMBERS = [
+    (f"{name}: {what}", None,
+     lambda report, name=name, key=key: [row for row in report["derivatives"] if row["map"] == name][-1][key])
+    for name in ("labels", "pix2pix")
+    for key, what in (("error", "derivative's RMS error over its RMS"), ("sign", "sign right"))
+]  # fmt: skip
+"""Errors and signs of the derivative at the finest blur."""

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from experiments.common import paper
 from paper_figs import style
-from paper_figs.shared import Number, in_order, listed, load, row_where
+from paper_figs.shared import in_order, load, row_where
 
 ITEM = "Ext. 5"
 CAPTION = (
@@ -54,11 +54,10 @@ def draw(runs: Path) -> Figure:
     return figure
 
 
-def numbers(runs: Path) -> list[Number]:
-    """Accuracy and IoU of the network on each set."""
-    return listed(runs, "evaluate_segmenters", [
-        (f"pix2pix, {title}: {what}", said,
-         lambda report, title=title, key=key: row_where(report["sets"][title], segmenter="pix2pix")[key])
-        for title in ("severity 1", "severity 1.5", "mirror image", "offset yaw", "other devices")
-        for key, what, said in (("accuracy", "accuracy", None), ("iou", "IoU", None))
-    ])  # fmt: skip
+NUMBERS = [
+    (f"pix2pix, {title}: {what}", said,
+     lambda report, title=title, key=key: row_where(report["sets"][title], segmenter="pix2pix")[key])
+    for title in ("severity 1", "severity 1.5", "mirror image", "offset yaw", "other devices")
+    for key, what, said in (("accuracy", "accuracy", None), ("iou", "IoU", None))
+]  # fmt: skip
+"""Accuracy and IoU of the network on each set."""

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
 from paper_figs import style
-from paper_figs.shared import Number, listed, load, row_where
+from paper_figs.shared import load, row_where
 
 ITEM = "Ext. 12"
 CAPTION = (
@@ -89,14 +89,13 @@ def _over_yaw(ax: Axes, errors: Errors, truth: np.ndarray) -> None:
     ax.legend(*ax.get_legend_handles_labels(), loc="lower center", handletextpad=0.1)
 
 
-def numbers(runs: Path) -> list[Number]:
-    """Median and 90th percentile of the refined error of `recognize` with each segmenter."""
-    columns = {"median_deg": "median error", "p90_deg": "90 % of errors below"}
-    return listed(runs, "real_turntable", [
-        (f"{name}, refined, {what} [°]", None, partial(_of_recognize, name, key))
-        for name in SEGMENTERS for key, what in columns.items()
-    ])  # fmt: skip
-
-
 def _of_recognize(name: str, key: str, report: dict[str, Any]) -> Any:
     return row_where(report["rows"], segmenter=name, search="recognize", yaw="refined")[key]
+
+
+COLUMNS = {"median_deg": "median error", "p90_deg": "90 % of errors below"}
+NUMBERS = [
+    (f"{name}, refined, {what} [°]", None, partial(_of_recognize, name, key))
+    for name in SEGMENTERS for key, what in COLUMNS.items()
+]  # fmt: skip
+"""Median and 90th percentile of the refined error of `recognize` with each segmenter."""

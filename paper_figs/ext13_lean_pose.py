@@ -7,7 +7,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from paper_figs import style
-from paper_figs.shared import Number, listed, load, row_where
+from paper_figs.shared import load, row_where
 
 ITEM = "Ext. 13"
 CAPTION = (
@@ -39,10 +39,9 @@ def draw(runs: Path) -> Figure:
     return figure
 
 
-def numbers(runs: Path) -> list[Number]:
-    """Mean errors on the judge's frames."""
-    return listed(runs, "lean_pose", [
-        (f"judge, views: {views}, {what}", None, lambda report, views=views, key=key: row_where(
-            report["rows"], name="judge", views=views)[key])
-        for views in ("1", "2") for what, key in (("place, mean [cm]", "mean_cm"), ("rotation, mean [°]", "mean_deg"))
-    ])  # fmt: skip
+NUMBERS = [
+    (f"judge, views: {views}, {what}", None, lambda report, views=views, key=key: row_where(
+        report["rows"], name="judge", views=views)[key])
+    for views in ("1", "2") for what, key in (("place, mean [cm]", "mean_cm"), ("rotation, mean [°]", "mean_deg"))
+]  # fmt: skip
+"""Mean errors on the judge's frames."""

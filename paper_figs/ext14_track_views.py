@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
 from paper_figs import style
-from paper_figs.shared import Number, listed, load
+from paper_figs.shared import load
 
 ITEM = "Ext. 14"
 CAPTION = (
@@ -67,14 +67,13 @@ def _real(ax: Axes, errors: dict[str, np.ndarray]) -> None:
     ax.legend(*ax.get_legend_handles_labels(), loc="lower center", handletextpad=0.1)
 
 
-def numbers(runs: Path) -> list[Number]:
-    """Errors of one view and of the most, beside the floor."""
-    return listed(runs, "track_views", [
-        ("one view, RMS error [°]", None, lambda report: report["rows"][0]["rms"]),
-        ("16 views from one place, RMS error [°]", None, lambda report: _of(report, "one place")),
-        ("16 views from around, RMS error [°]", None, lambda report: _of(report, "around")),
-        ("floor of one place [°]", None, lambda report: report["floor_deg"]),
-    ])  # fmt: skip
+NUMBERS = [
+    ("one view, RMS error [°]", None, lambda report: report["rows"][0]["rms"]),
+    ("16 views from one place, RMS error [°]", None, lambda report: _of(report, "one place")),
+    ("16 views from around, RMS error [°]", None, lambda report: _of(report, "around")),
+    ("floor of one place [°]", None, lambda report: report["floor_deg"]),
+]  # fmt: skip
+"""Errors of one view and of the most, beside the floor."""
 
 
 def _of(report: dict[str, Any], name: str) -> Any:

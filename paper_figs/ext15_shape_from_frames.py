@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from paper_figs import style
-from paper_figs.shared import Number, listed, load
+from paper_figs.shared import load
 from paper_figs.solid import draw_solid
 
 ITEM = "Ext. 15"
@@ -42,14 +42,13 @@ def _search(ax: Axes, score: np.ndarray) -> None:
     ax.set(title="the search", xlabel="step", ylabel="mean NCC")
 
 
-def numbers(runs: Path) -> list[Number]:
-    """Worst side of a brick, and the bodies' distances."""
-    return listed(runs, "shape_from_frames", [
-        ("worst side of a brick, median error [range bins]", None,
-         lambda report: max(row["median"] for row in report["bricks"])),
-        ("smooth body, Chamfer distance before [mm]", None, lambda report: _mean(report, "a ball")),
-        ("smooth body, Chamfer distance after [mm]", None, lambda report: _mean(report, "fitted")),
-    ])  # fmt: skip
+NUMBERS = [
+    ("worst side of a brick, median error [range bins]", None,
+     lambda report: max(row["median"] for row in report["bricks"])),
+    ("smooth body, Chamfer distance before [mm]", None, lambda report: _mean(report, "a ball")),
+    ("smooth body, Chamfer distance after [mm]", None, lambda report: _mean(report, "fitted")),
+]  # fmt: skip
+"""Worst side of a brick, and the bodies' distances."""
 
 
 def _mean(report: dict[str, Any], when: str) -> float:

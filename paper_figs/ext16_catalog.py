@@ -21,8 +21,7 @@ CAPTION = (
 )
 EXPERIMENTS = ("catalog",)
 SETS = ("drawn devices", "the judge")
-SMALL = 6.5
-"""Size of the names and numbers [pt]: 24 of them stand side by side."""
+LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 
 
 def draw(runs: Path) -> Figure:
@@ -30,7 +29,7 @@ def draw(runs: Path) -> Figure:
     report = load(runs, "catalog").report
     names, alike = report["objects"], report["alike"]
     found = {source: np.array(report["confusion"][source]) for source in SETS if source in report["confusion"]}
-    figure = style.sheet(style.TWO_COLUMNS, 4.7)
+    figure = style.sheet(style.TWO_COLUMNS, 4.1)
     axes = figure.subplots(1, len(found), squeeze=False, sharey=True)[0]
     for ax, (source, counts) in zip(axes, found.items(), strict=True):
         _matrix(ax, counts, names, alike)
@@ -44,18 +43,18 @@ def _matrix(ax: Axes, counts: np.ndarray, names: list[str], alike: list[list[str
     right = np.eye(len(names), dtype=bool)
     shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
     shades = np.where(counts > 0, np.where(right, 0.25 + 0.5 * shares, shares), np.nan)
-    ax.imshow(np.where(right, shades, np.nan), cmap=matplotlib.colormaps["Blues"], vmin=0, vmax=1)
-    ax.imshow(np.where(right, np.nan, shades), cmap=matplotlib.colormaps["Oranges"], vmin=-0.3, vmax=1)
+    ax.imshow(np.where(right, shades, np.nan), cmap=matplotlib.colormaps["Blues"], vmin=0, vmax=1, aspect="auto")
+    ax.imshow(np.where(right, np.nan, shades), cmap=matplotlib.colormaps["Oranges"], vmin=-0.3, vmax=1, aspect="auto")
     for (row, column), count in np.ndenumerate(counts):
         if count:
-            ax.text(column, row, str(count), ha="center", va="center_baseline", fontsize=SMALL)
+            ax.text(column, row, str(count), ha="center", va="center_baseline")
     for group in alike:
         places = [names.index(name) for name in group]
         first, size = min(places) - 0.5, max(places) - min(places) + 1
         ax.add_patch(Rectangle((first, first), size, size, fill=False, edgecolor=style.GREY, linewidth=0.8))
     ax.set(xticks=range(len(names)), yticks=range(len(names)))
-    ax.set_xticklabels(names, rotation=90, fontsize=SMALL)
-    ax.set_yticklabels(names, fontsize=SMALL)
+    ax.set_xticklabels(LETTERS[: len(names)])
+    ax.set_yticklabels([f"{name}  {letter}" for name, letter in zip(names, LETTERS, strict=False)])
     ax.tick_params(length=0)
     ax.spines[:].set_visible(True)
 

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from experiments.reproduce_paper import EXAMPLES
 from paper_figs import style
-from paper_figs.shared import Number, center_of, close_up, in_frame, load, outer_labels, tank_sonar
+from paper_figs.shared import center_of, close_up, in_frame, load, outer_labels, tank_sonar
 from sonarjax.plot import draw_outline, plot_scores
 
 ITEM = "Fig. 1"
@@ -63,8 +63,3 @@ def _frame(grid: dict[str, Any], shown: int) -> int:
     own = np.flatnonzero(grid["is_target"])
     size = len(own) // EXAMPLES
     return int(own[shown * size + shown * (size // 4 + 1) % size])
-
-
-def numbers(runs: Path) -> list[Number]:
-    """A picture has none."""
-    return []

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from paper_figs import style
-from paper_figs.shared import Number, center_of, close_up, load, outer_labels, tank_sonar
+from paper_figs.shared import center_of, close_up, load, outer_labels, tank_sonar
 
 ITEM = "Fig. 2"
 CAPTION = (
@@ -32,8 +32,3 @@ def draw(runs: Path) -> Figure:
         axes[0, k].set_title(f"yaw {scene['yaw_deg'][k]:.0f}°")
     outer_labels(axes)
     return figure
-
-
-def numbers(runs: Path) -> list[Number]:
-    """A picture has none."""
-    return []

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from paper_figs import style
-from paper_figs.shared import Number, center_of, close_up, in_frame, load, outer_labels, tank_sonar
+from paper_figs.shared import center_of, close_up, in_frame, load, outer_labels, tank_sonar
 from paper_figs.solid import draw_solid
 
 ITEM = "Fig. 3"
@@ -37,8 +37,3 @@ def draw(runs: Path) -> Figure:
         ax.set_title(f"yaw {bank['yaw_deg'][k]:.0f}°")
     outer_labels(axes)
     return figure
-
-
-def numbers(runs: Path) -> list[Number]:
-    """A picture has none."""
-    return []

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from paper_figs import style
-from paper_figs.shared import Number, load
+from paper_figs.shared import load
 from paper_figs.solid import draw_solid
 
 ITEM = "Fig. 4"
@@ -31,8 +31,3 @@ def draw(runs: Path) -> Figure:
     for ax in axes:
         ax.set_ylim(min(low), max(high))
     return figure
-
-
-def numbers(runs: Path) -> list[Number]:
-    """A picture has none."""
-    return []

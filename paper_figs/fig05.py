@@ -7,7 +7,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from paper_figs import style
-from paper_figs.shared import Number, load
+from paper_figs.shared import load
 
 ITEM = "Fig. 5"
 CAPTION = (
@@ -35,8 +35,3 @@ def draw(runs: Path) -> Figure:
     for ax in axes[1]:
         ax.set_xlabel(f"{size} px")
     return figure
-
-
-def numbers(runs: Path) -> list[Number]:
-    """A picture has none."""
-    return []

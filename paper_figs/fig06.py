@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from experiments.common.frames import GROUND_RANGE_M
 from paper_figs import style
-from paper_figs.shared import Number, load, tank_sonar
+from paper_figs.shared import load, tank_sonar
 from paper_figs.solid import draw_solid
 
 ITEM = "Fig. 6"
@@ -71,8 +71,3 @@ def _end(height: float, down: float) -> tuple[float, float]:
     """Where a ray that looks down by an angle [rad] meets the floor, or leaves the picture [m]."""
     floor = height / math.tan(down)
     return (floor, 0.0) if floor <= FAR_M else (FAR_M, height - FAR_M * math.tan(down))
-
-
-def numbers(runs: Path) -> list[Number]:
-    """A picture has none."""
-    return []

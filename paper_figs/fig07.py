@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from paper_figs import style
-from paper_figs.shared import Number, center_of, close_up, in_frame, load, outer_labels, tank_sonar
+from paper_figs.shared import center_of, close_up, in_frame, load, outer_labels, tank_sonar
 
 ITEM = "Fig. 7"
 CAPTION = (
@@ -39,8 +39,3 @@ def draw(runs: Path) -> Figure:
         ax.set_xticks([])
     figure.get_layout_engine().set(w_pad=0.015, h_pad=0.015, wspace=0.02, hspace=0.02)
     return figure
-
-
-def numbers(runs: Path) -> list[Number]:
-    """A picture has none."""
-    return []

@@ -7,7 +7,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from paper_figs import style
-from paper_figs.shared import Number, center_of, close_up, load, tank_sonar
+from paper_figs.shared import center_of, close_up, load, tank_sonar
 
 ITEM = "Fig. 8"
 CAPTION = (
@@ -41,8 +41,3 @@ def draw(runs: Path) -> Figure:
         ax.set_xlabel(f"{SIZE_M[0]:g} m")
     figure.get_layout_engine().set(w_pad=0.02, h_pad=0.02, wspace=0.02, hspace=0.02)
     return figure
-
-
-def numbers(runs: Path) -> list[Number]:
-    """A picture has none; its IoU stands under §4.3."""
-    return []

@@ -14,8 +14,9 @@ from matplotlib.figure import Figure
 
 import sonarjax as sj
 from experiments.common.metrics import markdown
+from experiments.common.runs import has_run, load
 from paper_figs import ablations, style
-from paper_figs.shared import Number, has_run, load
+from paper_figs.shared import Line, Number, number
 
 FOLDER = Path(__file__).resolve().parent
 SCRIPT = re.compile(r"(fig|tab|sec|ext)\d\d\w*")
@@ -40,7 +41,7 @@ python -m paper_figs --index             # this table
 
 
 class Script(Protocol):
-    """What each figure script has."""
+    """What each figure script has; and NUMBERS, where there are some that no row of its reports calls by its ITEM."""
 
     ITEM: str
     CAPTION: str
@@ -48,9 +49,6 @@ class Script(Protocol):
 
     def draw(self, runs: Path) -> Figure:
         """The figure, from `runs`."""
-
-    def numbers(self, runs: Path) -> list[Number]:
-        """Numbers beside the paper's."""
 
 
 @cache
@@ -77,6 +75,16 @@ def missing(script: Script, runs: Path) -> list[str]:
 def is_smoke(script: Script, runs: Path) -> bool:
     """Whether any run that a script draws from was a short one."""
     return any(load(runs, name).smoke for name in script.EXPERIMENTS if has_run(runs, name))
+
+
+def numbers(script: Script, runs: Path) -> list[Number]:
+    """The rows of its item in the newest runs' reports, and its NUMBERS, of which ours is None where there is none."""
+    reports = [load(runs, name).report for name in script.EXPERIMENTS if has_run(runs, name)]
+    rows = [row for report in reports for row in report.get("rows", ()) if row.get("item") == script.ITEM]
+    lines: Sequence[Line] = getattr(script, "NUMBERS", ())
+    return [Number(row["what"], row["paper"], row["ours"]) for row in rows] + [
+        number(runs, (*of, script.EXPERIMENTS[0])[0], what, paper, take) for what, paper, take, *of in lines
+    ]
 
 
 def command(experiment: str) -> str:
@@ -114,7 +122,7 @@ def rows(runs: Path) -> list[list[str]]:
         short = f" ({style.SMOKE})" if is_smoke(script, runs) else ""
         file = script.draw.__module__.removeprefix("paper_figs.")
         where = [f"`{file}.py`", "<br>".join(f"`{command(one)}`" for one in script.EXPERIMENTS)]
-        lines: Sequence[Number | None] = script.numbers(runs) or [None]
+        lines: Sequence[Number | None] = numbers(script, runs) or [None]
         for line in lines:
             state = NOT_RUN if missing(script, runs) else DRAWN + short
             if line is None:

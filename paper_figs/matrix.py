@@ -59,13 +59,3 @@ def _matrix(ax: Axes, values: np.ndarray | None, shown: np.ndarray | None, kind:
     ax.set(xticks=range(4), xticklabels=named, yticks=range(4), yticklabels=named, ylabel=f"{kind} image")
     ax.tick_params(length=0)
     ax.spines[:].set_visible(True)
-
-
-def mean_own(table: Any) -> float:
-    """Mean correlation of an image with the template of its own angle."""
-    return float(np.diag(np.asarray(table)).mean())
-
-
-def largest(table: Any) -> float:
-    """The largest correlation of a table."""
-    return float(np.asarray(table).max())

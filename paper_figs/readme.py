@@ -14,10 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from experiments.common.launch import combined, mean_and_spread
-from experiments.common.runs import RESULTS, ROOT, load_report
+from experiments.common.runs import RESULTS, ROOT, Run, has_run, load, load_report
 from paper_figs import baseline
 from paper_figs.index import command
-from paper_figs.shared import Run, has_run, load
 from sonarjax.io import SonarjaxError, write_text
 
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))

@@ -20,12 +20,11 @@ from matplotlib import rc_context
 
 import sonarjax as sj
 from experiments.common.paper import ANGLES_DEG
-from experiments.common.runs import RESULTS, git_hash
+from experiments.common.runs import RESULTS, Run, git_hash, has_run, load
 from experiments.reproduce_paper import BESIDE, HEADS
 from paper_figs import index, style, tab03, tab04
 from paper_figs.matrix import blocks
 from paper_figs.readme import origin, own_table
-from paper_figs.shared import Run, has_run, load
 
 TEMPLATE = Path(__file__).with_name("report.html")
 MAIN = "reproduce_paper"

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from experiments.common import paper
 from paper_figs import style
-from paper_figs.shared import Number, in_order, listed, load, row_where
+from paper_figs.shared import in_order, load, row_where
 
 ITEM = "§3.2"
 CAPTION = (
@@ -50,9 +50,8 @@ def draw(runs: Path) -> Figure:
     return figure
 
 
-def numbers(runs: Path) -> list[Number]:
-    """Hours at the paper's width."""
-    return listed(runs, "bench_train", [
-        (f"training [h], width {WIDTH}", paper.TRAINING_HOURS, lambda report: hours(report, "ours")),
-        (f"the same in PyTorch [h], width {WIDTH}", None, lambda report: hours(report, "torch")),
-    ])  # fmt: skip
+NUMBERS = [
+    (f"training [h], width {WIDTH}", paper.TRAINING_HOURS, lambda report: hours(report, "ours")),
+    (f"the same in PyTorch [h], width {WIDTH}", None, lambda report: hours(report, "torch")),
+]  # fmt: skip
+"""Hours at the paper's width."""

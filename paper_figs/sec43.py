@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from experiments.common import paper
 from paper_figs import style
-from paper_figs.shared import Number, listed, load
+from paper_figs.shared import load
 
 ITEM = "§4.3"
 CAPTION = (
@@ -48,12 +48,3 @@ def _bars(ax: Axes, place: np.ndarray, values: list[float], width: float, color:
     bars = ax.bar(place, values, width, color=color)
     bars[0].set(edgecolor=style.PAPER, linewidth=1.3)
     ax.bar_label(bars, [form.format(value) for value in values], padding=1)
-
-
-def numbers(runs: Path) -> list[Number]:
-    """PSNR and IoU of the first segmenter."""
-    lines = (("PSNR before [dB]", paper.PSNR_RAW, "psnr_raw"), ("PSNR after [dB]", paper.PSNR_MAP, "psnr"),
-             ("PSNR gain [dB]", paper.PSNR_GAIN, "psnr_gain"), ("IoU", paper.IOU, "iou"))  # fmt: skip
-    return listed(runs, "reproduce_paper", [
-        (what, said, lambda report, key=key: report["segmenters"][0][key]) for what, said, key in lines
-    ])  # fmt: skip

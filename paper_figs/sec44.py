@@ -9,8 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from experiments.common import paper
+from experiments.common.runs import Run
 from paper_figs import style
-from paper_figs.shared import Number, Run, listed, load
+from paper_figs.shared import load
 
 ITEM = "§4.4"
 CAPTION = (
@@ -72,10 +73,4 @@ def _scores(ax: Axes, run: Run) -> None:
     ax.legend(loc="lower left", markerscale=2.5, handlelength=0.8)
 
 
-def numbers(runs: Path) -> list[Number]:
-    """Accuracy of the first segmenter."""
-    return listed(runs, "reproduce_paper", [
-        ("accuracy, best threshold", paper.ACCURACY, lambda report: report["segmenters"][0]["best_accuracy"]),
-        ("accuracy, fixed threshold", None, lambda report: report["segmenters"][0]["accuracy"]),
-        ("area under the ROC", None, lambda report: report["segmenters"][0]["auc"]),
-    ])  # fmt: skip
+NUMBERS = [("area under the ROC", None, lambda report: report["segmenters"][0]["auc"])]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,7 +12,7 @@ from matplotlib.axes import Axes
 
 import sonarjax as sj
 from experiments.common.frames import sonar_for
-from experiments.common.runs import find_run, load_arrays, load_report
+from experiments.common.runs import has_run, load
 from sonarjax.plot import plot_fan
 
 BACKGROUND, TOUCHED = 0.5, 0.25  # of a semantic image, and how far off it an object or its shadow is
@@ -30,59 +29,18 @@ class Number(NamedTuple):
     """What the run gave, None where there is no run."""
 
 
-@dataclass(frozen=True)
-class Run:
-    """A finished run of an experiment."""
-
-    folder: Path
-    """Where it lies."""
-    report: dict[str, Any]
-    """Its results.json."""
-
-    @property
-    def smoke(self) -> bool:
-        """Whether it was made with --preset smoke."""
-        return self.report["preset"] == "smoke"
-
-    def arrays(self, name: str) -> dict[str, np.ndarray]:
-        """Arrays that it kept. Raises SonarjaxError when they are not there."""
-        return load_arrays(self.folder, name)
+Take = Callable[[dict[str, Any]], Any]
+Line = tuple[str, float | None, Take] | tuple[str, float | None, Take, str]
+"""One of a script's NUMBERS: what it is, what the paper has, how to take ours from the report, and from which of its
+experiments, where that is not the first."""
 
 
-def load(runs: Path, experiment: str) -> Run:
-    """The newest run of an experiment.
-
-    Raises SonarjaxError, which says how to make one, when there is none, and when what lies there is no report.
-    """
-    try:
-        folder = find_run(runs, experiment)
-    except sj.SonarjaxError:
-        raise
-    except (AttributeError, LookupError, TypeError, ValueError) as error:
-        text = f"{runs / experiment.split()[0]}: a results.json there is of other code ({error!r})"
-        raise sj.SonarjaxError(f"{text}; remove it and run python -m experiments.{experiment} again") from error
-    return Run(folder, load_report(folder))
+def number(runs: Path, experiment: str, what: str, paper: float | None, take: Take) -> Number:
+    """A line of a script's NUMBERS, with what `take` finds in the report of the newest run."""
+    return Number(what, paper, _taken(take, load(runs, experiment).report) if has_run(runs, experiment) else None)
 
 
-def has_run(runs: Path, experiment: str) -> bool:
-    """Whether an experiment has a finished run."""
-    try:
-        load(runs, experiment)
-    except sj.SonarjaxError:
-        return False
-    return True
-
-
-Line = tuple[str, float | None, Callable[[dict[str, Any]], Any]]
-
-
-def listed(runs: Path, experiment: str, lines: Sequence[Line]) -> list[Number]:
-    """Numbers as (what, the paper's, how to take ours from the report); ours is None where there is no such number."""
-    report = load(runs, experiment).report if has_run(runs, experiment) else None
-    return [Number(what, said, None if report is None else _taken(take, report)) for what, said, take in lines]
-
-
-def _taken(take: Callable[[dict[str, Any]], Any], report: dict[str, Any]) -> float | None:
+def _taken(take: Take, report: dict[str, Any]) -> float | None:
     try:
         value = take(report)
     except (KeyError, IndexError, StopIteration):  # the run left this part out

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 from matplotlib.figure import Figure
 
 from experiments.common import paper
-from experiments.common.tables import off_diagonal
-from paper_figs.matrix import blocks, draw_blocks, largest, mean_own
-from paper_figs.shared import Number, listed, load
+from paper_figs.matrix import blocks, draw_blocks
+from paper_figs.shared import load
 
 ITEM = "Table 4"
 CAPTION = (
@@ -25,13 +23,3 @@ def draw(runs: Path) -> Figure:
     """The paper's table beside ours."""
     table = load(runs, "reproduce_paper").report["tables"]["tab04"]
     return draw_blocks(blocks(table, **PAPER), table["threshold"])
-
-
-def numbers(runs: Path) -> list[Number]:
-    """What the table comes to."""
-    return listed(runs, "reproduce_paper", [
-        ("target with its own template, mean", mean_own(paper.TABLE_4),
-         lambda report: mean_own(report["tables"]["tab04"]["target"])),
-        ("target with other templates, largest", largest(off_diagonal(paper.TABLE_4)),
-         lambda report: largest(off_diagonal(np.array(report["tables"]["tab04"]["target"])))),
-    ])  # fmt: skip

@@ -1,4 +1,5 @@
 """Share work among the workers of a Dask cluster: optional, used only by entry points (extra `cluster`).
+
 `connect("local:4")` or `connect("tcp://host:8786")` gives an engine whose `stream` runs in other processes. Results
 come in the order of the items, and are the same as those of one process. What a killed worker was computing is computed
 again by another. Workers need the same packages. They need not share a file system, because arguments and results
@@ -41,6 +42,7 @@ class ClusterEngine(CpuEngine):
 
     def stream(self, function: Callable[[Any, Any, Engine], Any], shared: Any, items: Iterable[Any]) -> Iterator[Any]:
         """As `Engine.stream`. The first item runs alone, because its worker compiles for the others on its machine.
+
         Raises whatever `function` raises.
 
         Raises:
@@ -94,6 +96,7 @@ def _own_engine() -> CpuEngine:
 @contextmanager
 def connect(address: str) -> Iterator[ClusterEngine]:
     """Connect to the cluster at `address` and give an engine on it; a context manager.
+
     Args:
         address: The address of a scheduler, the path of its file (*.json), or `local[:N]`, which starts N worker
             processes (default: one for each core) and ends them afterwards.

@@ -1,4 +1,5 @@
 """Everything that only serves speed on a CPU: optional, used only by entry points.
+
 `tune()` sets the process up (compiler flags, compilation cache) before anything is computed. `CpuEngine` spreads work
 over the cores, and stores traced programs next to the compiled ones, so that a second process skips Python's tracing.
 In your own script use two lines: `sonarjax.cpu.tune()`, then `Recognizer(..., engine=sonarjax.cpu.CpuEngine())`.
@@ -51,6 +52,7 @@ DIGEST_BYTES = 32
 
 def tune() -> Path | None:
     """Set this process up for a CPU. Call it before JAX computes anything. Never raises.
+
     `SONARJAX_NO_CACHE=1` turns the compilation cache off, and `SONARJAX_CACHE_DIR` moves it.
 
     Returns:
@@ -70,6 +72,7 @@ def use_quick_compiler() -> None:
 
 def enable_compilation_cache() -> Path | None:
     """Let JAX store compiled code on disk.
+
     By default it lies in the user's cache folder (`XDG_CACHE_HOME`, else `~/.cache`). A cache that the user has set up
     for JAX is left alone, and so are thresholds that are set for JAX. Compiled code is trusted code, for one type of
     processor and one JAX version. The folder belongs to the user, and may be deleted at any time.
@@ -93,6 +96,7 @@ def enable_compilation_cache() -> Path | None:
 
 def keep_memory() -> bool:
     """Make this process keep the memory that it frees. Returns True if that is possible (glibc).
+
     This is for training. XLA's CPU backend allocates the buffers of each step anew (70 MB at width 16). The C library
     returns blocks of that size to the kernel, which zeroes them before it hands them out again: this can take a third
     of a step. Call it before the first step. Large pages help a little more, but can only be requested when a program
@@ -128,6 +132,7 @@ class CpuEngine(Engine):
 
     def prepare(self, function: Callable[..., Any], *args: Any, **static: Any) -> None:
         """Trace now for arguments of these shapes, and compile in the background.
+
         Tracing in the background as well would be slower: Python traces on one thread at a time, while the compiler
         runs without Python.
         """
@@ -307,6 +312,7 @@ def _root() -> Path:
 
 def _processor() -> str:
     """Eight hex digits for the instruction set, because machines of several kinds may share a home folder.
+
     On a CPU, XLA compiles for the machine on which it runs. Loading that code on another machine prints long errors at
     best.
     """

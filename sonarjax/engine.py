@@ -1,4 +1,5 @@
 """How compiled functions are run. `Engine` is plain JAX; `sonarjax.cpu.CpuEngine` replaces it where speed matters.
+
 Host functions such as `template_bank` and `Recognizer` take an engine and run their compiled parts through it.
 """
 
@@ -25,6 +26,7 @@ class Engine:
     def stream(self, function: Callable[[Any, Any, Engine], Any], shared: Any, items: Iterable[Any]) -> Iterator[Any]:
         """Yield `function(shared, item, engine)` for each item in order, few at a time, so that memory does not grow
         with them.
+
         `function` must be defined in a module, because an engine may run it in another process. `engine` is then that
         process's own.
         """

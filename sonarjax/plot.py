@@ -1,4 +1,5 @@
 """Pictures of frames and results: polar and fan views with axes in metres and degrees. No computation of results.
+
 Every function draws into a matplotlib `Axes` or returns a `Figure`; pyplot and its global state are never used. In both
 views the sonar is at the bottom and port is on the left, so column 0 of an image (starboard-most) is on the right. The
 colours can be told apart by colour-blind readers (Okabe and Ito) and in grey print.
@@ -41,6 +42,7 @@ def plot_polar(
     vmax: float | int | None = 1,
 ) -> QuadMesh:
     """Draw an image (range, beam) over azimuth [deg] and range [m], port on the left, near at the bottom.
+
     Args:
         ax: Axes to draw into.
         image: The image (range, beam). NaN is shown as unlit.
@@ -70,6 +72,7 @@ def plot_fan(
     vmax: float | int | None = 1,
 ) -> QuadMesh:
     """Draw an image (range, beam) as a true fan in metres, port on the left, the sonar below at (0, 0).
+
     Lengths are slant ranges: forward is range · cos(azimuth), lateral is range · sin(azimuth) [m]. Arguments and errors
     as in `plot_polar`.
     """
@@ -86,6 +89,7 @@ def plot_fan(
 
 def plot_frame(frame: SonarFrame, sonar: Sonar) -> Figure:
     """Draw a rendered frame: its intensity [dB] above, its semantic map below, each in polar and fan view.
+
     Floor that is not insonified is blue.
 
     Raises:
@@ -113,6 +117,7 @@ def plot_frame(frame: SonarFrame, sonar: Sonar) -> Figure:
 
 def plot_calibration(images: Sequence[Any], before: Sequence[Any], after: Sequence[Any], sonar: Sonar) -> Figure:
     """Draw frames (range, beam) with outlines of the target's templates: above those `before`, below those `after`.
+
     The three lists have the same length; axes are those of `sonar`.
     """
     figure = Figure(figsize=(3.2 * max(len(images), 2), 8.0), layout="constrained")
@@ -158,6 +163,7 @@ def draw_outline(
     linewidth: float | int = 1.2,
 ) -> None:
     """Draw the outlines of a template (h, w) over a frame: highlight orange, shadow blue and dashed.
+
     Args:
         ax: Axes with the frame.
         template: Semantic map of the target (h, w).
@@ -188,6 +194,7 @@ def draw_outline(
 
 def save_figure(figure: Figure, path: str | os.PathLike[str], dpi: float | int = 150) -> None:
     """Write a figure in one step, as PDF or SVG if `path` ends so, else as PNG. The same figure gives the same PNG.
+
     Raises:
         SonarjaxError: The file cannot be written. What was at `path` is then unchanged.
     """

@@ -35,6 +35,7 @@ from sonarjax.refine import (
     on_frame,
     peak_bins,
     plan_refinement,
+    plan_shared,
     prepare_refinement,
     quick_evidence,
     refine_start,
@@ -245,8 +246,12 @@ class Recognizer:
         """The window that refinement needs at the nearer distances, the very nearest apart: it does for all beyond."""
         if self.refine is None:
             return None
-        usual = float(np.quantile(search.distances, NEARER))
-        return plan_refinement(search.mesh, self.sonar, Pose(x=usual), self.refine)
+        return self._planned(search, Pose(x=float(np.quantile(search.distances, NEARER))), self.refine)
+
+    def _planned(self, search: TargetSearch, at: Pose, config: RefineConfig) -> WindowSize:
+        """The window that refinement needs; of several targets in coarse steps, so that they share compiled code."""
+        plan = plan_refinement if self.first_look is None else plan_shared
+        return plan(search.mesh, self.sonar, at, config)
 
     def _prepare(self) -> None:
         """Have refinement compiled while the first frame is segmented and matched."""
@@ -261,7 +266,7 @@ class Recognizer:
         usual = self._windows[search.name]
         if usual is None or self.refine is None:
             return None
-        needed = plan_refinement(search.mesh, self.sonar, at, self.refine)
+        needed = self._planned(search, at, self.refine)
         return usual if usual.holds(needed) else needed
 
     def _threshold(self, threshold: float | None, given: bool) -> float:

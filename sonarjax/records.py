@@ -1,4 +1,5 @@
 """`record`: frozen dataclasses as JAX pytrees that are rebuilt without calling their constructor.
+
 A constructor may broadcast, convert or check what a user gives it. JAX rebuilds a record from tracers, shape structs
 and placeholders, which must pass through unchanged. Fields marked by `static()` decide shapes and are not leaves.
 """

@@ -152,7 +152,7 @@ def parse(
         chosen, preset = settings(**start | asked), settings(**start)
         common.changed = [v.name for v in fields(settings) if getattr(chosen, v.name) != getattr(preset, v.name)]
         return chosen, common
-    except (ValueError, SonarjaxError) as error:
+    except ValueError as error:
         parser.error(str(error))
 
 

@@ -15,6 +15,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -149,19 +150,54 @@ def run_folder(runs: Path, experiment: str, settings: Mapping[str, Any], seed: i
     return runs / experiment / f"{digest}-s{seed}"
 
 
-def find_run(runs: Path, experiment: str) -> Path:
-    """The folder of the newest finished run: full ones, those with fewer changed settings and lower seeds first.
+@dataclass(frozen=True)
+class Run:
+    """A finished run of an experiment."""
 
-    `experiment` is its name, or as in a command with some of its settings: `ablate --vary tilt`. Raises SonarjaxError
-    that says how to make one when there is none.
+    folder: Path
+    """Where it lies."""
+    report: dict[str, Any]
+    """Its results.json."""
+
+    @property
+    def smoke(self) -> bool:
+        """Whether it was made with --preset smoke."""
+        return self.report["preset"] == "smoke"
+
+    def arrays(self, name: str) -> dict[str, np.ndarray]:
+        """Arrays that it kept. Raises SonarjaxError when they are not there."""
+        return load_arrays(self.folder, name)
+
+
+def load(runs: Path, experiment: str) -> Run:
+    """The newest finished run: full ones, those with fewer changed settings and lower seeds first.
+
+    `experiment` is its name, or as in a command with some of its settings: `ablate --vary tilt`. Raises SonarjaxError,
+    which says how to make one, when there is none, and when what lies there is no report.
     """
     name, *options = experiment.split()
     wanted = dict(zip((one.removeprefix("--") for one in options[::2]), options[1::2], strict=True))
-    found = [(json.loads(path.read_text(encoding="utf-8")), path) for path in runs.glob(f"{name}/*/{RESULTS}")]
-    found = [one for one in found if not wanted or wanted.items() <= one[0]["settings"].items()]
-    if not found:
-        raise SonarjaxError(f"{runs / name}: no finished run; `python -m experiments.{experiment}` makes one")
-    return max(found, key=lambda one: (*_rank(one[0]), one[1].stat().st_mtime))[1].parent
+    command = f"python -m experiments.{experiment}"
+    try:
+        paths = runs.glob(f"{name}/*/{RESULTS}")
+        found = [Run(path.parent, json.loads(path.read_text(encoding="utf-8"))) for path in paths]
+        found = [run for run in found if not wanted or wanted.items() <= run.report["settings"].items()]
+        newest = max(found, key=lambda run: (*_rank(run.report), (run.folder / RESULTS).stat().st_mtime), default=None)
+    except (AttributeError, LookupError, TypeError, ValueError) as error:
+        text = f"{runs / name}: a results.json there is of other code ({error!r}); remove it and run {command} again"
+        raise SonarjaxError(text) from error
+    if newest is None:
+        raise SonarjaxError(f"{runs / name}: no finished run; `{command}` makes one")
+    return newest
+
+
+def has_run(runs: Path, experiment: str) -> bool:
+    """Whether an experiment has a finished run."""
+    try:
+        load(runs, experiment)
+    except SonarjaxError:
+        return False
+    return True
 
 
 def _rank(report: Mapping[str, Any]) -> tuple[bool, int, int]:

@@ -1,8 +1,8 @@
 """The segmenters that experiments compare, by name: those of the package, and two networks of the paper.
 
-The 'discriminative model' is the shipped U-Net trained on the same pairs by cross-entropy alone, by the experiment
-`train_discriminative`; `paper-cpu` is the paper's own recipe, by `train_paper`. Their weights lie in the folder above:
-a baseline is for checking results, not for users.
+The 'discriminative model' is the shipped U-Net trained on the same pairs by cross-entropy alone; `paper-cpu` is the
+paper's own recipe. `train_paper` makes both. Their weights lie in the folder above: a baseline is for checking results,
+not for users.
 """
 
 from __future__ import annotations

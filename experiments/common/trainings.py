@@ -9,6 +9,7 @@ checkpoint, and one that has ended is kept.
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,12 +19,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.common.engine import engine
-from experiments.train_discriminative import train_to_the_end
 from sonarjax.data import export_pairs, make_pairs, split_key
 from sonarjax.data.folder import MANIFEST
 from sonarjax.data.pairs import PAPER_PAIRS, PAPER_SETTINGS
+from sonarjax.segment import training
 from sonarjax.segment.classical import to_grey
-from sonarjax.segment.training import Recipe, find_recipe
+from sonarjax.segment.training import Recipe, TrainResult, find_recipe
 from sonarjax.segment.training.batches import validation_set
 from sonarjax.segment.training.evaluate import predict_all
 from sonarjax.segment.weights import load_generator
@@ -97,6 +98,15 @@ def recipe_of(variant: str, settings: Trainings, seed: int, shared: Path) -> Rec
         source=str(shared) if pairs == each else None,
         validation_pairs=settings.validation_pairs,
     )
+
+
+def train_to_the_end(recipe: Recipe, folder: Path) -> TrainResult:
+    """Train from the last checkpoint in `folder`, if there is one. Raises KeyboardInterrupt when asked to stop."""
+    result = training.train(recipe, folder, resume=True)
+    if not result.finished:
+        raise KeyboardInterrupt  # training has noted it and kept a checkpoint; `launch` says how to go on
+    shutil.rmtree(folder / "checkpoints")  # they have served: started again, a finished run trains anew
+    return result
 
 
 def train(variant: str, settings: Trainings, shared: Path, seed: int) -> dict[str, Any]:

@@ -43,6 +43,7 @@ class Calibration:
     """The nominal sonar, with the numbers that the frames determine replaced."""
     sensor: SensorModel
     """The nominal device, with the fitted object gain, noise, display exponent, skirt, pulse and beam width.
+
     `tvg_exponent` is the slope of the noise. The fitted model is another one than `SensorModel`, so these are the
     nearest values: good for comparison, not for simulation.
     """
@@ -100,6 +101,7 @@ def calibrate(
     progress: Callable[[str], None] = lambda text: None,
 ) -> Calibration:
     """Fit numbers of the sonar (see `PARAMETERS`), together with the target's poses, to frames of a known target.
+
     Minimises the robust squared difference between the frames and what the sonar would store of the target on a lit
     floor (see `picture`), jointly over the free numbers, the device's look and each frame's pose, by
     Levenberg–Marquardt with the poses eliminated (Triggs et al., Bundle Adjustment, 2000). This assumes a flat floor,
@@ -159,6 +161,7 @@ def calibrate(
 
 def check_frames(frames: Any, masks: Any, sonar: Sonar) -> tuple[list[np.ndarray], list[np.ndarray | None]]:
     """Frames and masks (range, beam) as lists. Frames are 0 where not measured; a mask is None if everything was.
+
     Raises:
         SonarjaxError: As `calibrate`.
     """

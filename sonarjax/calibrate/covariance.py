@@ -31,6 +31,7 @@ class Certainty(NamedTuple):
 
 def certainty(information: np.ndarray, scores: np.ndarray, std: np.ndarray, free: Sequence[str]) -> Certainty:
     """Judge how well a fit determines the free numbers.
+
     The variance of the numbers is taken from how much the frames disagree, mixed with what the information says, which
     counts as MODEL_FRAMES frames: the sandwich of Huber (Proc. Fifth Berkeley Symp. 1, 1967).
 
@@ -64,6 +65,7 @@ def certainty(information: np.ndarray, scores: np.ndarray, std: np.ndarray, free
 
 def overcounted(information: np.ndarray, scores: np.ndarray, std: np.ndarray) -> float:
     """By what factor the `information` (shared, shared) overstates what the frames say; at least 1.
+
     The residuals of neighbouring pixels err together, so many pixels count the same thing. Frames are independent of
     each other. If pixels were as well, the sum of the outer products of the frames' `scores` (frame, shared) would
     equal the information (the sandwich of Huber, Proc. Fifth Berkeley Symp. 1, 1967; a single factor here, because

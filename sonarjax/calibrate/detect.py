@@ -76,6 +76,7 @@ def best_height(
     frames: Sequence[Prepared], mesh: Mesh, sonar: Sonar, heights: np.ndarray, search: SearchConfig, engine: Engine
 ) -> float:
     """The height [m], of `heights` (height,), with which the target's templates match the frames' semantic maps best.
+
     Frames whose best score over all heights is below the median are left out, because they may not show the target.
     Heights from which the aperture sees no floor in the window are skipped.
 

@@ -67,6 +67,7 @@ def fit_frames(
 ) -> tuple[Fit, Certainty]:
     """Fit `frames` jointly, from their poses and the changes `begin` (free,) of the free numbers; say how well they are
     known.
+
     `coarse` if these may be far off. A number that the frames do not determine is left unchanged.
     """
     size = _window(job, starts, begin)
@@ -133,6 +134,7 @@ def _fitted(
 
 def _best_tilt(job: Job, evaluate: Callable[[Point, int], list[Blocks]], point: Point, prior: Prior) -> Point:
     """The point with the best of several tilts across its prior: the one whose fit explains a few frames best.
+
     The edge of the lit floor may be far from where the nominal tilt puts it, too far for the fit to find it.
     """
     if "tilt" not in job.free or prior.fixed[job.free.index("tilt")]:
@@ -163,6 +165,7 @@ def _beam_difference(seen: Observation, sampling: Any) -> np.ndarray:
 
 def _smooth(spread: np.ndarray) -> np.ndarray:
     """Average standard deviations (row,) over neighbouring rows, and raise those below the median to it.
+
     Where a frame is dark it also varies little, but far down the skirt of the pattern the picture is not that accurate.
     Rows in which nothing was measured hold 0 and do not count.
     """

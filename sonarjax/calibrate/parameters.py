@@ -62,6 +62,7 @@ def check_free(free: Sequence[str]) -> tuple[str, ...]:
 
 def prior_std(free: Sequence[str], prior: Mapping[str, float] | None, sonar: Sonar) -> Float[np.ndarray, "free"]:
     """Standard deviations of the priors (free,): from `prior`, else the sonar's `geometry_std`, else the usual ones.
+
     Raises:
         SonarjaxError: A name is not free, or a value is not positive.
     """

@@ -1,4 +1,5 @@
 """The picture that a sonar would store of an object on a lit floor. Calibration fits it to frames.
+
 Unlike a template it includes the brightness of the floor: the vertical pattern, whose edges show how the sonar is
 tilted, the slope of the gain, and the noise. A device stores a power of energy between black and white. An offset and a
 factor are free in each frame. A small power stands for a logarithm.
@@ -38,6 +39,7 @@ def object_layers(
     size: WindowSize,
 ) -> Float[Array, "view layer range beam"]:  # fmt: skip
     """Echo, highlight and shadow of the object and of its mirror image in the floor, as `render_layers` gives them.
+
     The window has all ranges, and the beams from `column` on. `step` is yaw [rad], x and y [m] relative to `start`.
     `floor_path` [1] is that of `sensor.SensorModel`.
     """
@@ -56,6 +58,7 @@ def picture(
     reference: Any,
 ) -> Float[Array, "range beam"]:
     """The picture that is stored (range, beam), up to an offset and a factor: the object's `layers` over the lit floor.
+
     `bounce` is the share of energy left after a bounce on the floor [1]. At the range `reference` [m] the slopes are 1.
     """
     energy = _received(sonar, look, layers, bounce, column, reference)
@@ -96,6 +99,7 @@ def _received(
 
 def leaking(n_beams: int, level: Any) -> Float[Array, "beam source"]:
     """Matrix (beam, source) of the leaks between beams, `level` in total; rows sum to one.
+
     This is a smooth version of `crosstalk_mixing`, for which it need not be known which beams fire together.
     """
     apart = np.abs(np.arange(n_beams)[:, None] - np.arange(n_beams))
@@ -112,6 +116,7 @@ def clipped(energy: Float[Array, "*batch"], dark: Any, white: Any) -> Float[Arra
 
 def floor_elevation(sonar: Sonar, ranges: Float[Array, "range"]) -> Float[Array, "range beam"]:
     """Elevation [rad] in the sonar frame of the floor that each pixel (range, beam) shows, roll included.
+
     From r·(n₃ sin φ + (n₁ cos θ + n₂ sin θ) cos φ) = −height, where n is the ground's upward direction in the sonar
     frame.
     """
@@ -140,6 +145,7 @@ def measured_mean(
     sampling: Sampling, image: Float[Array | np.ndarray, "range beam"], mask: Float[Array | np.ndarray, "range beam"]
 ) -> Any:
     """The blurred image (row, column), averaged over measured pixels only; 0 where there are none nearby.
+
     `mask` (range, beam) is 1 where a pixel of `image` (range, beam) was measured, else 0.
     """
     return sampling(image * mask) / jnp.maximum(sampling(mask), 1e-6)
@@ -168,6 +174,7 @@ def fitted(
     drawn: Float[Array, "row column"], seen: Float[Array, "row column"], weight: Float[Array, "row column"]
 ) -> Float[Array, "row column"]:
     """Fit the picture to a frame by an offset, a factor and slow changes of brightness, by least squares.
+
     All are (row, column); `weight` is that of a squared difference. The result is linear in these few numbers, so they
     need no iterations of their own, and the derivative passes through them (variable projection, Golub and Pereyra,
     SIAM J. Numer. Anal. 10, 1973).

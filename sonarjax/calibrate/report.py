@@ -54,6 +54,7 @@ def compare_templates(
     found: Calibration, images: Sequence[Any], mesh: Mesh, nominal: Sonar
 ) -> tuple[list[Any], list[Any], list[Any]]:
     """Some of the frames that were used, and the target's semantic maps for the nominal and for the fitted sonar.
+
     All are (range, beam).
     """
     which = np.flatnonzero(found.used)[:SHOWN]

@@ -1,4 +1,5 @@
 """Joint least squares over what all frames share and each frame's own pose: Levenberg–Marquardt by block elimination.
+
 A frame's pose affects only its own residuals, so the poses are eliminated frame by frame (the Schur complement; Triggs
 et al., Bundle Adjustment, 2000, sec. 6). The cost is linear in the number of frames.
 """
@@ -126,6 +127,7 @@ def linearise(
     reference: Array, *, free: tuple[str, ...], size: WindowSize,
 ) -> tuple[Array, ...]:  # fmt: skip
     """The fields of a frame's `Blocks` at `shared` (free + look,) and `own` (4,).
+
     `std` (row,) are the standard deviations of the residuals [grey]; `reference` [m] is that of `picture`.
     """
     count = len(free)

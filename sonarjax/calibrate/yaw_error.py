@@ -29,6 +29,7 @@ def yaw_std_of_geometry(
     mask: Any = None, window: WindowSize | None = None, engine: Engine = PLAIN,
 ) -> float:  # fmt: skip
     """Standard deviation of yaw [rad] that the `stated` uncertainty of the sonar's geometry causes.
+
     The yaw is refined again from `pose`, with each stated number one standard deviation up and down. Half the
     difference is the share of that number, and the shares are added in quadrature. This assumes that the errors of the
     geometry are independent, so small that yaw follows them linearly, and the same in all frames. Refining again is a

@@ -12,10 +12,13 @@ from sonarjax.io import FAN_OPTIONS, FanOptions, SonarjaxError, check_outputs, c
 def add(commands: Any) -> None:
     """Add the command's arguments to the parser's `commands`."""
     command = commands.add_parser(
-        "convert", help="a fan picture as a polar frame, and back; a recording as a ROS bag", epilog=EXITS
+        "convert", help="a fan picture as a polar frame, and back; frames and recordings as a ROS bag", epilog=EXITS
     )
     command.set_defaults(run=run)
-    command.add_argument("file", metavar="FILE", help="a fan picture, or a polar frame: " + FRAME_HELP)
+    command.add_argument(
+        "files", metavar="FILE", nargs="+",
+        help="a fan picture, or a polar frame: " + FRAME_HELP + "; one of them, or for a bag any number",
+    )  # fmt: skip
     command.add_argument(
         "--out",
         metavar="OUT",
@@ -29,13 +32,15 @@ def add(commands: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the command; returns its exit code. Raises SonarjaxError for input that cannot be used."""
-    check_outputs({"--out": args.out}, (args.file,))
+    check_outputs({"--out": args.out}, args.files)
     options = FanOptions(**{name: getattr(args, name) for name in FanOptions.__dataclass_fields__})
     if args.out.lower().endswith((".bag", ".mcap")):
-        say(to_bag(args.file, args.out, options))
+        say(to_bag(args.files, args.out, options))
         return 0
+    if len(args.files) > 1:
+        raise SonarjaxError(f"--out: {args.out!r} holds one frame: expected one FILE, got {len(args.files)}")
     try:
-        frame = one_frame(args.file)
+        frame = one_frame(args.files[0])
     except SonarjaxError as error:
         complain(str(error))
         return 1

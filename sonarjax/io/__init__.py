@@ -1,4 +1,5 @@
 """Files in and out as arrays and dicts: ARIS, DIDSON, Oculus, ROS bags, PNG, NPY, NPZ, TOML, JSON Lines. No pickle.
+
 `read_frames("file.aris:3")` gives `Frame`s: an image float32 (range, beam) in [0, 1], near row first, beams in
 ascending azimuth (to port), with its mask, its geometry [m, deg] and whatever else the header says. Input that cannot
 be used raises `SonarjaxError`: one line that names the file, the field and what was expected. This folder imports no

@@ -1,4 +1,5 @@
 """ARIS recordings (`.aris`, DDF_05): bytes in, frames out.
+
 The layout was checked on a real file of six frames: a 1024-byte file header, then for each frame a 1024-byte header and
 SamplesPerBeam x BeamCount bytes stored (range, beam), beam 0 the rightmost. The number of frames follows from the size
 of the file, never from the header. Offsets, PingMode and SystemType follow Sound Metrics' published ARIS file SDK.
@@ -82,6 +83,7 @@ def beam_count(ping_mode: int) -> int:
 
 def aris_layout(data: Content, name: str) -> ArisLayout:
     """Read the sizes from the first frame's header, or from a later one if the first is damaged.
+
     Raises:
         SonarjaxError: The signature is wrong, no frame is complete, or no frame has a valid PingMode and
             SamplesPerBeam.
@@ -123,6 +125,7 @@ def _later_size(data: Content, name: str) -> tuple[int, int] | None:
 
 def parse_aris(data: Content, name: str, index: int | None = None) -> Iterator[Frame]:
     """Yield the frames of an ARIS file, or only frame `index`; `image` = stored byte / 255 (0 … 255 is 0 … 80 dB).
+
     Args:
         data: Content of the file.
         name: Its path, for messages.

@@ -1,4 +1,5 @@
 """Beam centres of ARIS sonars: uneven tables, approximated by an odd polynomial of the beam number.
+
 With t from -1 (beam 0, the rightmost) to 1 (the last beam) and F the angle of beam 0 from the axis,
 
     azimuth(t) = F * (a t + b t^3 + c t^5),   a + b + c = 1,
@@ -34,6 +35,7 @@ edge) [deg].
 
 def uneven_fan(n_beams: int, first_deg: float, middle_deg: float, edge_deg: float) -> Float64[np.ndarray, "beam"]:
     """Ascending beam centres (beam,) [deg] of the module's polynomial.
+
     Args:
         n_beams: Number of beams.
         first_deg: Angle of beam 0 from the axis [deg].

@@ -1,5 +1,6 @@
 """Write files, all or nothing: to a temporary file in the same folder, then renamed, so that no reader sees half a
 file.
+
 If the disk is full, the folder read-only or the target a folder, the old file stays as it was, nothing is left behind,
 and the error is a SonarjaxError of one line.
 """
@@ -29,6 +30,7 @@ Writer = Callable[[IO[bytes]], object]
 
 def write_atomic(path: PathLike, writer: Writer) -> None:
     """Let `writer(file)` write a binary file, then move it to `path` in one step.
+
     A device such as /dev/null is written to directly. Other exceptions of `writer` pass through, and leave nothing
     behind either.
 
@@ -75,6 +77,7 @@ def write_text(path: PathLike, text: str) -> None:
 
 def write_npz(path: PathLike, /, **arrays: np.ndarray) -> None:
     """Write named arrays (any shape) as a compressed NPZ, all or nothing. The same arrays give the same bytes.
+
     Raises:
         SonarjaxError: The file cannot be written, or an array would need pickle.
     """
@@ -103,6 +106,7 @@ def write_png(
     | Float[np.ndarray, "row column 3"],
 ) -> None:
     """Write a grey (row, column) or colour (row, column, 3) picture: uint8 as it is, floats in [0, 1] times 255.
+
     Raises:
         SonarjaxError: The type, shape or range is another, or the file cannot be written.
     """

@@ -21,6 +21,7 @@ def complain(message: str, kind: str = "error: ") -> None:
 
 def say(text: str) -> None:
     """Print to stdout at once.
+
     Raises:
         SonarjaxError: It cannot be written.
         BrokenPipeError: Nobody reads it any more.

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
@@ -65,6 +67,7 @@ TO_FAN = ("width",)
 
 def one_frame(spec: str) -> Frame:
     """The only frame (range, beam) of a file, or frame N of `path:N`; a fan picture is given as (row, column).
+
     Raises:
         SonarjaxError: As `read_frames`, or the file holds several frames.
     """
@@ -74,8 +77,9 @@ def one_frame(spec: str) -> Frame:
     return frame
 
 
-def to_bag(spec: str, out: str, options: FanOptions = FanOptions()) -> str:
-    """Write all frames (range, beam) of `spec` as the sonar images of a ROS bag; `out` ends in .bag or .mcap.
+def to_bag(specs: Sequence[str], out: str, options: FanOptions = FanOptions()) -> str:
+    """Write all frames (range, beam) of `specs` as the sonar images of a ROS bag; `out` ends in .bag or .mcap.
+
     Returns:
         One line that says what was written.
 
@@ -85,11 +89,12 @@ def to_bag(spec: str, out: str, options: FanOptions = FanOptions()) -> str:
     for name in FanOptions.__dataclass_fields__:
         if getattr(options, name) not in (None, False):
             raise SonarjaxError(f"{_option(name)}: expected none with a bag as --out, got {out!r}")
-    return f"{out}: {write_bag(out, iter_frames(spec))} frames"
+    return f"{out}: {write_bag(out, chain.from_iterable(map(iter_frames, specs)))} frames"
 
 
 def convert(frame: Frame, out: str, options: FanOptions = FanOptions()) -> str:
     """Write `frame`: a fan picture as a polar frame if `out` ends in .npz, a polar frame as a fan picture if in .png.
+
     Returns:
         One line that says what was written.
 

@@ -16,6 +16,7 @@ from sonarjax.io.toml import read_toml
 
 def describe(spec: str | os.PathLike[str]) -> str:
     """Describe a frame file, sonar recording, `sonar.toml` or weights file, in lines of `name: value`.
+
     For a recording this describes the first frame, or frame N of `path:N`; for weights, how they were trained.
 
     Raises:

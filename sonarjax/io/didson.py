@@ -1,4 +1,5 @@
 """DIDSON recordings (`.ddf`, DDF_03 and DDF_04): bytes in, frames out.
+
 **Not checked on a real file.** Everything comes from published readers. Doubtful numbers are fields of `DidsonTables`,
 an argument of the reader:
 - the file header of version 4 (1024 bytes; one source says 512): found by the frame's own signature if it has one;
@@ -116,6 +117,7 @@ def parse_didson(
     data: Content, name: str, index: int | None = None, tables: DidsonTables = DIDSON_TABLES
 ) -> Iterator[Frame]:
     """Yield the frames of a DIDSON file, or only frame `index`; `image` = stored byte / 255, shape (range, beam).
+
     Args:
         data: Content of the file.
         name: Its path, for messages.

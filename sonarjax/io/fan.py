@@ -1,4 +1,5 @@
 """Fan pictures to polar images and back, by averaging, so that no pixel of the finer grid is skipped.
+
 Polar images follow the package's convention: axis 0 is range, near first, axis 1 the beam in ascending azimuth, so
 column 0 is starboard-most. `FanGeometry` says where a picture's pixels lie. A cell of the target that covers several
 pixels of the source takes the mean of that many points in it. Between pixels both directions interpolate: with `order`
@@ -38,6 +39,7 @@ def fan_to_polar(
     order: Order = 3,
 ) -> tuple[Shaped[np.ndarray, "range beam"], Bool[np.ndarray, "range beam"]]:
     """Turn a fan picture (row, column) into a polar image (range, beam).
+
     Args:
         picture: The fan picture (row, column).
         geometry: Where its pixels lie.
@@ -70,6 +72,7 @@ def polar_to_fan(
     order: Order = 3,
 ) -> tuple[Shaped[np.ndarray, "row column"], Bool[np.ndarray, "row column"]]:
     """Turn a polar image (range, beam) into a fan picture (row, column).
+
     With the geometry and shape of a picture that `fan_to_polar` took, a map made from it returns to that picture's
     pixels.
 
@@ -104,6 +107,7 @@ def _sample(
     source: np.ndarray, measured: np.ndarray, places: Places, shape: tuple[int, int], order: Order
 ) -> tuple[np.ndarray, np.ndarray]:
     """For each cell of `shape`, the mean of `source` over `places`, and whether it is known.
+
     Every item of `places` holds a (row, column) for each cell. A cell is known if a measured pixel is close enough.
     """
     values = source if order == 0 else source.astype(np.float32)

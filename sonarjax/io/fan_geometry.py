@@ -1,4 +1,5 @@
 """Where the pixels of a fan picture lie in the sonar's plane: `FanGeometry`, and the rule that finds it for a picture.
+
 A fan picture shows the insonified sector from above: far is up, the sonar (the apex) is at the bottom of the picture or
 below it, port is on the left, starboard on the right. Publishers resize such pictures, so rows and columns may have
 different lengths in metres. Positions in a picture are in pixels from its upper left corner: the first pixel reaches
@@ -81,6 +82,7 @@ class FanGeometry:
 
     def polar_shape(self) -> tuple[int, int]:
         """Numbers of range bins and beams that keep the picture's resolution.
+
         There are as many bins as rows along the middle of the sector, and as many beams as columns along the arc at mid
         range. Farther away the picture is finer than the beams.
         """
@@ -96,6 +98,7 @@ def equal_beams(opening: float | int, beams: int) -> Float[np.ndarray, "beam"]:
 
 def content_box(picture: Real[np.ndarray, "row column"]) -> PictureBox:
     """The bounding box of the pixels above 0 in a picture (row, column).
+
     Raises:
         SonarjaxError: There are none.
     """
@@ -113,6 +116,7 @@ def fit_fan(
     apex_row: float | int | None = None,
 ) -> FanGeometry:
     """The geometry of a picture in which the sector has the bounding box `box`.
+
     Args:
         box: The sector's bounding box.
         opening: Full angle of the sector [rad].
@@ -149,6 +153,7 @@ def fan_around(
     opening: float | int, range_min: float | int, range_max: float | int, pixel: float | int
 ) -> tuple[FanGeometry, tuple[int, int]]:
     """Geometry and shape (rows, columns) of a picture that just holds a sector, with pixels of about `pixel` [m].
+
     `opening` [rad], `range_min` and `range_max` [m] are as in `fit_fan`. Complete pixels fill the sector's bounding
     box, so their height and width differ slightly.
 

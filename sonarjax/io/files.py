@@ -49,6 +49,7 @@ def check_size(name: str, size: int, limit: int) -> None:
 
 def map_bytes(path: str | os.PathLike[str]) -> mmap.mmap:
     """Map a file of any size read-only: its parts are read from the disk when they are used.
+
     Raises:
         SonarjaxError: The file is missing, a folder, a device, unreadable or empty.
     """
@@ -62,6 +63,7 @@ def map_bytes(path: str | os.PathLike[str]) -> mmap.mmap:
 
 def read_bytes(path: str | os.PathLike[str], allow_empty: bool = False, limit: int | None = None) -> bytes:
     """Read a file of at most `limit` bytes (by default `size_limit`).
+
     Raises:
         SonarjaxError: The file is missing, a folder, a device, unreadable, empty or too large.
     """

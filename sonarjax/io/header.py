@@ -68,6 +68,7 @@ class Header:
 
     def pixels(self, offset: int, n_ranges: int, n_beams: int, dtype: str = "<u1") -> Float32[np.ndarray, "range beam"]:
         """Samples stored range by range (range, beam), as float32 in [0, 1], divided by the integer type's maximum.
+
         Raises:
             SonarjaxError: The file ends before the last sample. Nothing is allocated before this check.
         """

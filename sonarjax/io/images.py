@@ -1,4 +1,5 @@
 """Plain images (PNG, NPY, NPZ) as frames, with every check on type, size and values that a frame must pass.
+
 An NPZ holds `image`, optionally `mask` (true where measured), and optionally `azimuth_deg` and `range_edges_m`, as
 `sonarjax render` writes them. At most `PIXEL_LIMIT` pixels are unpacked, whatever a header asks for.
 """
@@ -22,6 +23,7 @@ ROUNDING = 1e-6
 
 def unit_image(values: np.ndarray, name: str) -> Float32[np.ndarray, "range beam"]:
     """An image (range, beam) as float32 in [0, 1]: integers divided by the maximum of their type, floats unchanged.
+
     64-bit integers are refused: they come from a careless `astype(int)`, and divided by 2^63 the image would be black.
 
     Raises:

@@ -18,6 +18,7 @@ from sonarjax.io.files import reason
 
 class JsonLines:
     """A JSON Lines file open for appending; a context manager.
+
     A line that a killed run left unfinished is ended first. A line that can be written only in part is removed again.
     """
 
@@ -34,6 +35,7 @@ class JsonLines:
 
     def write(self, record: Mapping[str, Any]) -> None:
         """Append one object. NumPy values are written as numbers and lists, non-finite floats as null.
+
         Raises:
             SonarjaxError: It cannot be written.
         """
@@ -78,6 +80,7 @@ class JsonLines:
 
 def plain(value: Any) -> Any:
     """Convert `value` to JSON types: arrays to lists, NumPy scalars to numbers, non-finite floats to None.
+
     Raises:
         TypeError: JSON cannot hold the value.
     """

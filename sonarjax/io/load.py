@@ -63,6 +63,7 @@ class Spec(NamedTuple):
 
 def split_spec(spec: str | os.PathLike[str]) -> Spec:
     """Split the name of a frame into its parts. If a file has exactly this name, the name means that file.
+
     >>> split_spec("log.aris:3")
     Spec(path='log.aris', number=3, topic=None)
     """
@@ -79,6 +80,7 @@ def split_spec(spec: str | os.PathLike[str]) -> Spec:
 
 def naming(name: str, error: Exception) -> str:
     """The error's message, preceded by the frame's `name` unless it already names the file.
+
     The type of an exception that is not ours is added, because its message alone seldom says what happened.
     """
     message = " ".join(str(error).split())
@@ -89,6 +91,7 @@ def naming(name: str, error: Exception) -> str:
 
 def iter_records(spec: str | os.PathLike[str]) -> Iterator[Record]:
     """Yield the frames (range, beam) of `spec` one by one, with an error in place of each damaged frame.
+
     Raises:
         SonarjaxError: As `read_frames`, for problems with the file as such.
     """
@@ -105,6 +108,7 @@ def iter_records(spec: str | os.PathLike[str]) -> Iterator[Record]:
 
 def iter_frames(spec: str | os.PathLike[str]) -> Iterator[Frame]:
     """Yield the frames (range, beam) of `path` one by one, or frame N of `path:N` (N from 0).
+
     Raises the same errors as `read_frames`, when it reaches the frame concerned.
     """
     yield from frames_of(iter_records(spec))
@@ -113,6 +117,7 @@ def iter_frames(spec: str | os.PathLike[str]) -> Iterator[Frame]:
 def read_frames(spec: str | os.PathLike[str]) -> list[Frame]:
     """Read all frames (range, beam) of `path`, frame N of `path:N` (N from 0), or for a bag `path:TOPIC` or
     `path:TOPIC:N`.
+
     Endings: .npz .npy .png .aris .ddf .raw .oculus .bag .mcap .db3; for a ROS 2 bag also its folder. An unfinished last
     frame of a recording is left out. Frames of a sonar file are float32, four times the size of the file's bytes:
     `iter_frames` holds one at a time.

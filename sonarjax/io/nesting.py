@@ -12,6 +12,7 @@ DEEPEST = 64
 
 def check_nesting(document: Any, name: str) -> None:
     """Raise a SonarjaxError if tables and lists of a parsed TOML or JSON `document` are nested too deeply.
+
     The check goes level by level: a recursion could itself run out of stack.
     """
     level, depth = [document], 0

@@ -1,4 +1,5 @@
 """NumPy arrays from NPY bytes and NPZ members, without pickle and without trusting their headers.
+
 An NPY header says how much to allocate, and a zip member may unpack to a thousand times its size. So the header is read
 first, and nothing is unpacked that has more than `PIXEL_LIMIT` numbers, or more bytes than its header announces.
 """
@@ -43,6 +44,7 @@ class NpyHeader:
 
 def npy_header(data: bytes, name: str, field: str = "array") -> NpyHeader:
     """Read and check the header at the start of `data`, with NumPy's own reader.
+
     Raises:
         SonarjaxError: The magic number is wrong; NumPy refuses the header, or it is longer than `HEADER_LIMIT`; the
             type is not bool, integer or float; or there are more than `PIXEL_LIMIT` numbers.
@@ -71,6 +73,7 @@ def _short_text(text: str) -> str:
 
 def parse_npy(data: bytes, name: str, field: str = "array") -> np.ndarray:
     """The array (any shape) in NPY bytes, read-only and without a copy.
+
     Raises:
         SonarjaxError: As `npy_header`, or the file ends before the last number.
     """

@@ -1,4 +1,5 @@
 """Raw pings of a Blueprint Oculus (`.raw`, its network packets one after another): bytes in, frames out.
+
 The layout was checked on real files of one and of three pings: a 16-byte message header, the fire message, the ping
 result, int16 bearings of 0.01 deg, then the image (range, beam) at `imageOffset`. Messages of another kind are skipped.
 The viewer's `.oculus` log is read by `oculus_log.py`.
@@ -63,6 +64,7 @@ class OculusPing:
 
 def parse_oculus(data: Content, name: str, index: int | None = None, bearing_sign: int = -1) -> Iterator[Frame]:
     """Yield the pings of a raw Oculus file, or only ping `index`; `image` = stored value / 255 (or / 65535).
+
     An unfinished last ping is left out.
 
     Args:
@@ -93,6 +95,7 @@ def oculus_records(data: Content, name: str, index: int | None = None, bearing_s
 
 def oculus_starts(data: Content, name: str) -> list[int | SonarjaxError]:
     """Positions [bytes] of the complete pings; a part of the file that is not a message is listed as its error.
+
     Raises:
         SonarjaxError: The file begins with something else, or holds no ping.
     """
@@ -136,6 +139,7 @@ def _next_message(data: Content, start: int) -> int:
 
 def read_ping(header: Header, name: str, number: int, count: int, bearing_sign: int = -1) -> Frame:
     """Read the ping that starts with `header`, number `number` of the `count` pings of file `name`.
+
     Raises:
         SonarjaxError: As `parse_oculus`.
     """

@@ -1,4 +1,5 @@
 """Logs of Blueprint's Oculus viewer (`.oculus`): raw ping packets, each behind a header of the log.
+
 The layout is taken from the maker's published viewer source, which writes its C structs as they lie in memory (8-byte
 alignment), and from published readers that agree with it. It was not checked on a file. A file header gives its own
 size, then items follow. Each has a header with its size, the kind of the payload, whether it is compressed, and the
@@ -43,6 +44,7 @@ class LogItem:
 
 def parse_oculus_log(data: Content, name: str, index: int | None = None) -> Iterator[Frame]:
     """Yield the pings of an Oculus viewer's log, or only ping `index`; `image` as in `parse_oculus`.
+
     Args:
         data: Content of the file.
         name: Its path, for messages.

@@ -14,6 +14,7 @@ from sonarjax.io.ros import is_bag
 
 def check_outputs(outputs: Mapping[str, str | None], inputs: Iterable[str]) -> None:
     """Raise a SonarjaxError if an output would replace an input or another output. Call it before writing.
+
     Links are followed. A device such as /dev/null may be given twice.
 
     Args:
@@ -41,6 +42,7 @@ def make_folder(path: str) -> None:
 
 def check_label_files(folder: str, specs: Sequence[str]) -> None:
     """Raise a SonarjaxError if a `labels_<stem>.npz` in `folder` would replace an input or belong to two inputs.
+
     `specs` are frames as `path` or `path:N`. It is not known yet how many frames a recording holds, so any number is
     assumed.
     """

@@ -21,6 +21,7 @@ DEFLATE_RATIO = 1032
 
 def png_size(data: bytes, name: str) -> tuple[int, int]:
     """Height and width of a PNG [pixels], from its first chunk.
+
     Raises:
         SonarjaxError: The magic number or header is wrong, or there are more pixels than `PIXEL_LIMIT` or than the file
             can hold.
@@ -52,6 +53,7 @@ def _check_complete(data: bytes, name: str) -> None:
 
 def parse_png(data: bytes, name: str) -> UInt[np.ndarray, "range beam"]:
     """Grey values of a PNG as uint8 or uint16; its (row, column) are (range, beam).
+
     A colour picture is accepted if it is grey (equal channels) and opaque.
 
     Raises:

@@ -14,6 +14,7 @@ Record = Frame | SonarjaxError
 
 def each_record(name: str, count: int, index: int | None, read: Callable[[int], Frame]) -> Iterator[Record]:
     """Read the `count` frames of a recording one after another, or only frame `index`.
+
     Raises:
         SonarjaxError: The recording has no such frame.
     """

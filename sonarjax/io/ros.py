@@ -1,4 +1,5 @@
 """Bags of ROS 1 (`.bag`) and ROS 2 (`.mcap`, `.db3`, a bag's folder), read and written without ROS by `rosbags`.
+
 Frames come from topics with `marine_acoustic_msgs/ProjectedSonarImage`. A message is unpacked only when it is reached,
 so a long log takes no more memory than a short one.
 """
@@ -43,6 +44,7 @@ def bag_topics(path: str) -> dict[str, int]:
 
 def bag_records(path: str, topic: str | None = None, index: int | None = None) -> Iterator[Record]:
     """Yield the sonar images of a bag in order of time, or only image `index`; an unreadable image as its error.
+
     Without `topic`, the bag must have exactly one topic of sonar images. If the bag is damaged inside, one last error
     is yielded, and everything after the damage is lost.
 
@@ -74,6 +76,7 @@ def bag_records(path: str, topic: str | None = None, index: int | None = None) -
 def write_bag(path: str | os.PathLike[str], frames: Iterable[Frame], topic: str = TOPIC) -> int:
     """Write frames (range, beam) as sonar images: ROS 1 in a `.bag`, ROS 2 in a `.mcap`, else ROS 2 in a bag's new
     folder.
+
     Values are rounded to 16 bits.
 
     Returns:

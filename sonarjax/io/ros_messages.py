@@ -1,5 +1,6 @@
 """`marine_acoustic_msgs/ProjectedSonarImage`: a ROS message to a frame, and a frame to a message. No bag is opened
 here.
+
 Conventions from the message's own comments: Z points along the middle of the fan and X up, so Y points to starboard;
 beams lie in the Y-Z plane; `ranges` are the centres of the range bins. The message's comment calls the order of pixels
 beam-major, but drivers and viewers store them range by range, beam after beam, and so does this file. It was not
@@ -54,6 +55,7 @@ def is_sonar_image(msgtype: str) -> bool:
 
 def message_frame(message: Any, name: str, stem: str, number: int) -> Frame:
     """Turn a message into a frame (range, beam).
+
     Unsigned integers are divided by their largest value. Signed integers must not be negative. Floating point must lie
     in [0, 1]. Beams are put in ascending azimuth (to port).
 
@@ -99,6 +101,7 @@ def message_frame(message: Any, name: str, stem: str, number: int) -> Frame:
 
 def frame_fields(frame: Frame, time_ns: int) -> SimpleNamespace:
     """The fields of a message for a frame (range, beam), as plain values from which any message class can be filled.
+
     Raises:
         SonarjaxError: The frame's geometry is not known, or a pixel was not measured, which a message cannot express.
     """

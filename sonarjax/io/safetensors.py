@@ -20,6 +20,7 @@ ABOUT = "sonarjax"
 
 def write_safetensors(path: PathLike, arrays: Mapping[str, np.ndarray], about: Mapping[str, Any]) -> None:
     """Write named arrays (any shape), and the description `about` of JSON types. The same input gives the same bytes.
+
     Raises:
         SonarjaxError: The file cannot be written, or `about` cannot be stored as JSON.
     """
@@ -36,6 +37,7 @@ def write_safetensors(path: PathLike, arrays: Mapping[str, np.ndarray], about: M
 
 def read_safetensors(path: PathLike) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """Read the arrays (any shape) by name, and the description, which is empty if another program wrote the file.
+
     Raises:
         SonarjaxError: The file is missing, truncated or not a safetensors file.
     """

@@ -16,6 +16,7 @@ TOML_LIMIT = 16 * 2**20
 
 def parse_toml(data: bytes, name: str) -> dict[str, Any]:
     """Parse a TOML document into a dict.
+
     Raises:
         SonarjaxError: It is not UTF-8, not TOML (the message gives line and column), or nested too deeply.
     """
@@ -30,6 +31,7 @@ def parse_toml(data: bytes, name: str) -> dict[str, Any]:
 
 def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Read a TOML file into a dict.
+
     Raises:
         SonarjaxError: The file is missing, a folder or too large, or `parse_toml` refuses it.
     """

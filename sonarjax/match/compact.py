@@ -1,4 +1,5 @@
 """Banks that take little memory, for catalogues: templates as bytes, spectra computed anew for each frame, few shapes.
+
 A bank of 36 templates takes a few hundred kilobytes instead of ten megabytes, and twice the time to match.
 """
 
@@ -15,7 +16,7 @@ from sonarjax.match.masked import NEAR_CONSTANT
 from sonarjax.match.ncc import MatchPositions, best_position, per_template
 from sonarjax.match.spectra import correlate, frame_spectrum, over_chunks, pack, unit_templates
 
-ROWS, COLUMNS = 64, 16
+ROWS, COLUMNS = 128, 32
 """Templates are padded to multiples of this many range bins and beams, so that banks of one size share compiled
 code.
 """
@@ -43,11 +44,11 @@ def match_compact(image: Float[np.ndarray, "range beam"], bank: CompactBank) -> 
     centred = image.astype(np.float64) - image.mean(dtype=np.float64)
     height, width = bank.levels.shape[1:]
     more = (0, 0), (0, min(-height % ROWS, image.shape[0] - height)), (0, min(-width % COLUMNS, image.shape[1] - width))
-    return _match(centred.astype(np.float32), _window_scale(centred, (height, width)), np.pad(bank.levels, more),
+    return _match(centred.astype(np.float32), window_scale(centred, (height, width)), np.pad(bank.levels, more),
                   np.int32(height), np.int32(width))  # fmt: skip
 
 
-def _window_scale(centred: np.ndarray, window: tuple[int, int]) -> np.ndarray:
+def window_scale(centred: np.ndarray, window: tuple[int, int]) -> np.ndarray:
     """1/√energy of the window at each corner (range, beam); 0 if it is nearly constant or leaves the frame."""
     sums = [np.pad(np.cumsum(np.cumsum(v, 0), 1), ((1, 0), (1, 0))) for v in (centred, centred**2)]
     (h, w), scale = window, np.zeros_like(centred)

@@ -1,4 +1,5 @@
 """Eq. 5: from the score curve over yaw to a decision, and to the hypotheses that a symmetric object leaves open.
+
 Takes scores (yaw,) and yaws (yaw,) [rad], and returns frozen records. Everything runs under jit and vmap.
 """
 
@@ -63,6 +64,7 @@ def peaks(
     min_separation: Any = 0.5,
 ) -> Peaks:
     """Local maxima of the score curve over the full circle, best first, at most `max_peaks`.
+
     The best bin is always the first hypothesis.
 
     Args:
@@ -99,6 +101,7 @@ def peaks(
 
 def between_bins(scores: Float[np.ndarray, " yaw"], best: int) -> float:
     """Position of the maximum of the parabola through bin `best` and its neighbours, in bins from it: -0.5 to 0.5.
+
     `scores` (yaw,) cover the full circle.
     """
     left, middle, right = (float(scores[(best + k) % len(scores)]) for k in (-1, 0, 1))
@@ -108,6 +111,7 @@ def between_bins(scores: Float[np.ndarray, " yaw"], best: int) -> float:
 
 def prominence(scores: Float[Array, " yaw"]) -> Float[Array, " yaw"]:
     """Height (yaw,) of each bin above the higher of its two saddles, left and right, on the closed circle.
+
     A saddle is the lowest score on the way to the first higher bin; for the best bin it is the lowest score of all.
     """
     count = scores.shape[0]

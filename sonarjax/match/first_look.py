@@ -8,16 +8,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.match.compact import CompactBank
-from sonarjax.match.low_rank import LowRankBank, low_rank_bank, match_low_rank
+from sonarjax.match.compact import CompactBank, window_scale
+from sonarjax.match.low_rank import Factors, combined, factors
+from sonarjax.match.ncc import MatchPositions
 from sonarjax.match.search import SearchConfig, TargetSearch, decimated
-from sonarjax.render import template_bank
+from sonarjax.match.spectra import correlate, frame_spectrum, over_chunks, pack
+from sonarjax.render import WindowSize, template_bank
 
 YAWS = 36
 """Templates of a target at each distance, at most; never more than the search has yaw bins."""
@@ -56,10 +61,21 @@ def leading(found: Sequence[Mapping[str, Sighting]], config: SearchConfig) -> li
     return [name for k, name in enumerate(ordered) if k < ALWAYS or short[name] <= config.lead]
 
 
-class _Shelf(NamedTuple):
-    """All targets at one distance."""
+class _Drawn(NamedTuple):
+    """All targets at one distance, before the boxes of all distances are known."""
 
-    bank: LowRankBank
+    found: Factors
+    owner: np.ndarray
+    row: int
+    slant: float
+
+
+class _Shelf(NamedTuple):
+    """All targets at one distance, in arrays as large as those of all others: they share compiled code."""
+
+    planes: Array  # spectra of the components
+    coefficients: Array
+    box: tuple[int, int]
     owner: np.ndarray
     row: int
     slant: float
@@ -69,8 +85,18 @@ class FirstLook:
     """The low-rank banks of a catalogue of targets for one sonar."""
 
     def __init__(self, searches: Sequence[TargetSearch]) -> None:
-        """`searches` are of one sonar and one config. Banks are rendered when a frame first needs them."""
+        """`searches` are of one sonar and one config. Banks are rendered when a frame first needs them.
+
+        All of the searches' banks are rendered in one window from now on: they share compiled code.
+        """
         self.searches = list(searches)
+        sizes = [search.size for search in self.searches]
+        rows, columns = (max(size.shape[k] for size in sizes) for k in (0, 1))
+        shared = WindowSize(
+            (rows, columns), max(size.object_columns or self.searches[0].sonar.n_beams for size in sizes)
+        )
+        for search in self.searches:
+            search.size = shared
         first = self.searches[0]
         self.sonar, self.config, self.engine = first.sonar, first.config, first.engine
         every = self.config.coarse_every
@@ -78,6 +104,7 @@ class FirstLook:
         self._reach = math.ceil(step) + SLACK_ROWS
         self._distances = [float(d) for d in first.distances[::every]]
         self._shelves: list[_Shelf] | None = None
+        self._residual = 0.0
 
     @property
     def n_distances(self) -> int:
@@ -87,16 +114,17 @@ class FirstLook:
     @property
     def residual(self) -> float:
         """Largest share of any template [1] that the components leave: no score is off by more."""
-        return max(float(np.max(np.asarray(shelf.bank.residual))) for shelf in self.prepare())
+        self.prepare()
+        return self._residual
 
     def prepare(self, progress: Callable[[int, int], None] = lambda done, of: None) -> list[_Shelf]:
         """Render all banks, if that was not done yet; `progress` is told how many distances are done, of how many."""
         if self._shelves is None:
-            shelves = []
+            drawn = []
             for k, distance in enumerate(self._distances):
-                shelves.append(self._shelf(distance))
+                drawn.append(self._draw(distance))
                 progress(k + 1, len(self._distances))
-            self._shelves = [shelf for shelf in shelves if shelf is not None]
+            self._shelves = self._shelved([one for one in drawn if one is not None])
         return self._shelves
 
     def best(self, image: np.ndarray, mask: np.ndarray | None = None) -> dict[str, Sighting]:
@@ -122,17 +150,20 @@ class FirstLook:
 
     def _match(self, small: np.ndarray, shelf: _Shelf) -> tuple[np.ndarray, np.ndarray]:
         """Score and row of each template, near the distance at which it was rendered, at any bearing."""
-        height, width = shelf.bank.components.templates.shape[1:]
-        rows, beside = height + 2 * self._reach, width // 2
-        canvas = np.full((rows, small.shape[1] + 2 * beside), 0.5, np.float32)
-        top = shelf.row - self._reach
-        first, last = max(top, 0), min(top + rows, len(small))
+        (height, width), reach = shelf.box, self._reach
+        canvas = np.full(self._canvas, 0.5, np.float32)
+        top, beside = shelf.row - reach, width // 2
+        first, last = max(top, 0), min(top + height + 2 * reach, len(small))
         canvas[first - top : last - top, beside : beside + small.shape[1]] = small[first:last]
-        found = match_low_rank(canvas, shelf.bank)
-        scores, row = jax.device_get((found.scores, found.row))
-        return scores, row
+        seen = canvas[: height + 2 * reach, : small.shape[1] + 2 * beside]
+        centred = seen.astype(np.float64) - seen.mean(dtype=np.float64)
+        scale = window_scale(centred, shelf.box)[: 2 * reach + 1, : small.shape[1] + 1]
+        canvas = np.zeros(self._canvas, np.float32)
+        canvas[: seen.shape[0], : seen.shape[1]] = centred
+        found = jax.device_get(_look(canvas, scale, shelf.planes, shelf.coefficients))
+        return found.scores[: len(shelf.owner)], found.row[: len(shelf.owner)]
 
-    def _shelf(self, distance: float) -> _Shelf | None:
+    def _draw(self, distance: float) -> _Drawn | None:
         """All targets at a distance [m]; None where none is in view."""
         views = self.engine.map(lambda search: self._view(search, distance), self.searches)
         boxes = [(top, left, *view.levels.shape[1:]) for view, top, left in filter(None, views)]
@@ -145,13 +176,28 @@ class FirstLook:
         templates, count = np.full((len(owner), *shape), 0.5, np.float32), 0
         for view, row, column in filter(None, views):
             yaws, h, w = view.levels.shape
-            templates[count : count + yaws, row - top : row - top + h, column - left : column - left + w] = (
-                view.templates
-            )
+            part = templates[count : count + yaws]
+            part[:, row - top : row - top + h, column - left : column - left + w] = view.templates
             count += yaws
-        frame = shape[0] + 2 * self._reach, self.sonar.n_beams + 2 * (shape[1] // 2)
-        bank = low_rank_bank(templates, frame, self.config.rank)
-        return _Shelf(bank, owner, top, math.hypot(distance, float(self.sonar.height)))
+        _make_unit(templates)
+        slant = math.hypot(distance, float(self.sonar.height))
+        return _Drawn(factors(templates, self.config.rank), owner, top, slant)
+
+    def _shelved(self, drawn: list[_Drawn]) -> list[_Shelf]:
+        """Everything in arrays of one size, components of no weight and templates of no component added."""
+        height, width = (max(one.found.components.shape[k] for one in drawn) for k in (1, 2))
+        count, rank = (max(one.found.coefficients.shape[k] for one in drawn) for k in (0, 1))
+        self._canvas = height + 2 * self._reach, self.sonar.n_beams + 2 * (width // 2)
+        self._residual = max(float(one.found.residual.max()) for one in drawn)
+        shelves = []
+        for one in drawn:
+            components, coefficients = np.zeros((rank, height, width), np.float32), np.zeros((count, rank), np.float32)
+            kept, h, w = one.found.components.shape
+            components[:kept, :h, :w] = one.found.components
+            coefficients[: len(one.owner), :kept] = one.found.coefficients
+            planes = _planes(components, self._canvas)
+            shelves.append(_Shelf(planes, jnp.asarray(coefficients), (h, w), one.owner, one.row, one.slant))
+        return shelves
 
     def _view(self, search: TargetSearch, distance: float) -> tuple[CompactBank, int, int] | None:
         """A target's coarse templates at a distance [m] with the coarse row and the column of their first pixel."""
@@ -169,3 +215,24 @@ class FirstLook:
         ends = row % step, -(row + templates.shape[1]) % step
         whole = np.pad(templates, ((0, 0), ends, (0, 0)), constant_values=0.5)
         return CompactBank.of(decimated(whole, step)), row // step, column
+
+
+def _make_unit(templates: np.ndarray) -> None:
+    """Give templates (template, h, w) mean 0 and norm 1, in their place: there is no room for another array of them."""
+    for one in templates:
+        one -= one.mean()
+        norm = float(np.linalg.norm(one))
+        one *= 1 / norm if norm > 1e-5 else 0.0
+
+
+@partial(jax.jit, static_argnums=1)
+def _planes(components: Array, canvas: tuple[int, int]) -> Array:
+    return pack(components, canvas)
+
+
+@jax.jit
+def _look(canvas: Array, scale: Array, planes: Array, coefficients: Array) -> MatchPositions:
+    """The best window of each template on a `canvas`, whose windows have norms 1 / `scale` (row, col)."""
+    frame, shape = frame_spectrum(canvas), (scale.shape[0], scale.shape[1])
+    maps = over_chunks(lambda part: correlate(frame, part, shape) * scale, planes)
+    return combined(maps.reshape(-1, *shape)[: coefficients.shape[1]], coefficients)

@@ -1,4 +1,5 @@
 """Which way an object leans: match a bank over yaw, roll, pitch and height where the upright template matched.
+
 An upright template suffices to find the place: the correlation falls with lean, but not everywhere alike.
 """
 
@@ -76,6 +77,7 @@ class LeanSearch:
 
     def find(self, image: np.ndarray, mask: np.ndarray | None = None) -> LeanMatch:
         """The poses that match `image` (range, beam) best; only pixels where `mask` is true count.
+
         Raises:
             SonarjaxError: No part of the target can be seen at any distance.
         """

@@ -7,7 +7,7 @@ maps are their combinations. Optional, for speed: `match_bank` needs none of it.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -44,14 +44,35 @@ def low_rank_bank(bank: Any, image_shape: tuple[int, int], rank: int) -> LowRank
     """
     templates = jnp.asarray(getattr(bank, "templates", bank), jnp.float32)
     check_shapes(templates.shape, image_shape)
+    found = factors(np.asarray(unit_templates(templates)), rank)
+    components = prepare_bank(found.components, image_shape)
+    return LowRankBank(components, jnp.asarray(found.coefficients), jnp.asarray(found.residual))
+
+
+class Factors(NamedTuple):
+    """Unit templates as combinations of a few components."""
+
+    components: Float[np.ndarray, "component h w"]
+    """Orthonormal."""
+    coefficients: Float[np.ndarray, "template component"]
+    """Each template's share of each component."""
+    residual: Float[np.ndarray, " template"]
+    """Norm of what the components leave of each template."""
+
+
+def factors(unit: Float[np.ndarray, "template h w"], rank: int) -> Factors:
+    """`unit` templates (template, h, w) by `rank` components, or fewer where they are of lower rank.
+
+    Raises SonarjaxError for a rank below 1.
+    """
     if rank < 1:
         raise SonarjaxError(f"rank: expected 1 or more components, got {rank}")
-    unit = np.asarray(unit_templates(templates)).reshape(len(templates), -1)
-    basis = _leading(unit, min(rank, *unit.shape))
-    coefficients = unit @ basis.T
-    residual = np.linalg.norm(unit - coefficients @ basis, axis=1)
-    components = prepare_bank(basis.reshape(-1, *templates.shape[1:]), image_shape)
-    return LowRankBank(components, jnp.asarray(coefficients), jnp.asarray(residual))
+    flat = unit.reshape(len(unit), -1)
+    basis = _leading(flat, min(rank, *flat.shape))
+    coefficients = flat @ basis.T
+    # No template is taken out of the large array as a whole: its part in the components is orthogonal to the rest.
+    left = np.einsum("ij,ij->i", flat, flat) - np.einsum("ij,ij->i", coefficients, coefficients)
+    return Factors(basis.reshape(-1, *unit.shape[1:]), coefficients, np.sqrt(np.maximum(left, 0)))
 
 
 def _leading(unit: np.ndarray, rank: int) -> np.ndarray:
@@ -77,10 +98,16 @@ def match_low_rank(image: Float[AnyArray, "range beam"], low_rank: LowRankBank) 
 
 @jax.jit
 def _match(image: Array, low_rank: LowRankBank) -> MatchPositions:
-    maps = correlation_maps(image, low_rank.components)
-    count, (rows, columns) = low_rank.coefficients.shape[0], maps.shape[1:]
+    return combined(correlation_maps(image, low_rank.components), low_rank.coefficients)
+
+
+def combined(
+    maps: Float[Array, "component row col"], coefficients: Float[Array, "template component"]
+) -> MatchPositions:
+    """The best window of each template, whose map combines the components' `maps` (component, row, col)."""
+    count, (rows, columns) = coefficients.shape[0], maps.shape[1:]
     chunks = -(-count // CHUNK)
-    padded = jnp.pad(low_rank.coefficients, ((0, chunks * CHUNK - count), (0, 0))).reshape(chunks, CHUNK, -1)
+    padded = jnp.pad(coefficients, ((0, chunks * CHUNK - count), (0, 0))).reshape(chunks, CHUNK, -1)
 
     def chunk(coefficients: Array) -> MatchPositions:
         scores = (coefficients @ maps.reshape(len(maps), -1)).reshape(CHUNK, rows, columns)

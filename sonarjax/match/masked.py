@@ -1,4 +1,5 @@
 """Eq. 4 over the measured pixels only: masked normalised cross-correlation (Padfield 2012).
+
 Mean and norm of window *and* template are taken over the measured pixels of the window, so that unmeasured parts of a
 frame (NaN, black corners, a blanked near range) neither help nor hurt.
 """
@@ -15,6 +16,7 @@ from sonarjax.match.windows import window_moments
 
 NEAR_CONSTANT = 1e-6
 """A window with less than this share of the frame's energy counts as constant and scores 0.
+
 Rounding in the transform changes the score of the faintest windows that still count by up to 5e-4. Above 4e-5 of the
 frame's energy (one odd pixel in a window of a semantic map) the error stays below 1e-4.
 """
@@ -71,6 +73,7 @@ def masked_maps(
     whole: bool = False,
 ) -> Float[Array, "pair two row col"]:
     """Masked eq. 4 at all window positions, for pairs of unit templates (`planes`), their squares and their `echoes`.
+
     With `whole`, a template's norm is taken over all of it, so that the part over unmeasured pixels counts as
     unmatched. A template then also scores 0 unless the share MIN_ECHO of its highlight was measured: its shadow alone
     is no match, because it would fit any dark corner at the edge of the measured pixels.
@@ -117,6 +120,7 @@ def weighted_maps(
     min_valid: float | Array,
 ) -> Float[Array, "pair two row col"]:
     """Masked eq. 4 where each template counts only under its own mask (`weights`, which holds `pixels` pixels).
+
     The window moments differ from template to template here, so they are correlations too (six in all).
     """
     count = jnp.round(correlate(frame.valid, weights, map_shape))

@@ -1,4 +1,5 @@
 """Eq. 4: zero-mean normalised cross-correlation of a frame with every template of a bank over yaw.
+
 Takes a frame (range, beam) and a bank (`.templates` (yaw, h, w), or a plain array). Returns scores (yaw,) from -1 to 1,
 the corner of the best window, or complete maps (yaw, row, col). Nearly constant windows and templates score 0. Frames
 must be finite where they were measured. For a batch of frames use `jax.vmap`.
@@ -57,6 +58,7 @@ class PreparedBank:
 
 def prepare_bank(bank: Any, image_shape: tuple[int, int], *, masked: bool = False) -> PreparedBank:
     """`bank` (its `.templates` (yaw, h, w)) together with its spectra for frames of `image_shape` (range bins, beams).
+
     `masked` also keeps what matching with a mask needs.
 
     Raises:
@@ -76,6 +78,7 @@ def match_bank(
     template_mask: Bool[AnyArray, "yaw h w"] | None = None,
 ) -> Float[Array, " yaw"]:
     """Scores of eq. 4: the largest correlation of each template with the image, over all positions.
+
     Args:
         image: The frame (range, beam), finite where measured.
         bank: Holds `.templates` (yaw, h, w), and optionally `.spectra` (see `prepare_bank`).
@@ -103,6 +106,7 @@ def match_positions(
 ) -> MatchPositions:
     """Scores (yaw,) as in `match_bank`, and where each is reached: row (yaw,) and column (yaw,) of the window's
     top-left corner.
+
     Raises the same errors as `match_bank`.
 
     Args:
@@ -126,6 +130,7 @@ def correlation_maps(
     template_mask: Bool[AnyArray, "yaw h w"] | None = None,
 ) -> Float[Array, "yaw row col"]:
     """Eq. 4 at every window position (yaw, row, col) of `image` (range, beam): range − h + 1 by beam − w + 1 positions.
+
     Arguments and errors as in `match_bank`; `template_mask` is (yaw, h, w).
     """
     return _match(image, bank, mask, template_mask, min_valid, _whole_map)

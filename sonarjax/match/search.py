@@ -58,8 +58,10 @@ class SearchConfig:
     """Yaws that are kept for refinement, at most."""
     quality: RenderQuality = RenderQuality(sub_beams=1)
     """How finely templates are rendered."""
-    candidates: int = 8
-    """Of several targets, so many are refined and compared at most: those that a first look at all finds best."""
+    candidates: int = 5
+    """Of several targets, so many are refined and compared at most: those that a first look at all finds best.
+
+    On validation frames more of them find the right one no more often (experiments/fit_candidates.py)."""
     lead: float = 0.1
     """A target that the first look finds so much worse than the best is none of them: correlation with the map, or half
     of that with the frame itself. The two best always are."""

@@ -1,4 +1,5 @@
 """Spectra of a template bank, kept so that many frames can be matched with it.
+
 Takes templates (yaw, h, w) and returns `TemplateSpectra`. Two real templates share one complex transform: their
 correlations are its real and its imaginary part. A few pairs form a chunk that stays in the processor's cache. On two
 CPU cores both together are up to twice as fast as one batched real transform of the complete bank.
@@ -53,6 +54,7 @@ def template_spectra(
     templates: Float[Array, "yaw h w"], image_shape: tuple[int, int], *, masked: bool = False
 ) -> TemplateSpectra:
     """Spectra of `templates` (yaw, h, w) for frames of `image_shape` (range bins, beams), to be kept with the bank.
+
     `masked` adds what matching with a mask needs.
 
     Raises:
@@ -90,6 +92,7 @@ def unit_templates(
     templates: Float[Array, "yaw h w"], weight: Float[Array, "yaw h w"] | None = None
 ) -> Float[Array, "yaw h w"]:
     """Templates (yaw, h, w) with mean 0 and norm 1: T − T̄ and the second root of eq. 4. Constant templates become 0.
+
     `weight` (yaw, h, w), 0 or 1, says which pixels of each template count; the others become 0.
     """
     if weight is None:

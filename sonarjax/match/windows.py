@@ -1,4 +1,5 @@
 """Mean and energy of every window of an image, without the cancellation errors of integral images.
+
 Takes an image (range, beam) and a window shape, and returns moments (row, col) for each top-left corner. Two
 neighbouring windows are merged by Chan's update (Chan, Golub and LeVeque 1983), which doubles their length. Only
 differences are squared, so float32 suffices, and a constant window has an energy of exactly 0.
@@ -28,6 +29,7 @@ def window_moments(
     image: Float[Array, "range beam"], window: tuple[int, int], mask: Bool[Array, "range beam"] | None = None
 ) -> WindowMoments:
     """Moments of every `window` (height, width) [pixels] of `image`; only pixels where `mask` is true count.
+
     Returns:
         Arrays of shape (range - height + 1, beam - width + 1): S̄ and the first root of eq. 4.
     """

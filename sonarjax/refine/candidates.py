@@ -12,19 +12,23 @@ import numpy as np
 from sonarjax.engine import Engine
 from sonarjax.match import FirstLook, SearchConfig, TargetSearch, leading
 from sonarjax.refine.config import RefineConfig
+from sonarjax.refine.pose import plan_refinement
 from sonarjax.refine.starts import Candidate, Start, curve_evidence, evidence_of, locate, make_starts, on_frame
 from sonarjax.refine.yaw import refine_and_draw
 from sonarjax.render import WindowSize
-from sonarjax.scene import Pose
+from sonarjax.scene import Mesh, Pose
+from sonarjax.sonar import Sonar
 
 QUICK_ITERATIONS = 1
 """Renders at each blur of the quick refinement."""
 COMPARISON: Mapping[str, float] = {
-    "map_fit": 1.0, "frame_fit": 1.0, "coarse_fit": 1.0, "unexplained": -1.0, "left_over": -1.0, "frame_peak": 1.0,
-    "score_bank": 1.0,
+    "map_fit": 8.53, "frame_fit": 10.2, "coarse_fit": 0.15, "unexplained": -9.43, "left_over": -0.42,
+    "frame_peak": 6.65, "score_bank": 9.87,
 }  # fmt: skip
 """Weight of each number in the log-odds that a candidate is the one that is shown, from validation frames
 (experiments/fit_candidates.py). How far it stands out over yaw is no part of it: that tells of its symmetry."""
+STEPS = (256, 64, 48)
+"""Range bins, beams, and beams of the object, of which shared windows are multiples."""
 SAME_START = math.radians(5.0)
 """Starts whose yaws [rad] are no farther apart are one."""
 
@@ -63,6 +67,15 @@ def look_closely(
         return Look(*(locate(targets[name], p, mask, at[name]) for p, at in zip(pictures, near, strict=True)))
 
     return sorted(engine.map(look, names), key=lambda one: -one.in_map.score)
+
+
+def plan_shared(mesh: Mesh, sonar: Sonar, at: Pose, config: RefineConfig) -> WindowSize:
+    """As `plan_refinement`, in coarse steps: many targets share compiled code. For a start [m, rad] `at` a place."""
+    needed = plan_refinement(mesh, sonar, at, config)
+    sizes = *needed.shape, needed.object_columns or sonar.n_beams
+    most = sonar.n_ranges, sonar.n_beams, sonar.n_beams
+    rows, columns, beams = (min(-(-n // step) * step, m) for n, step, m in zip(sizes, STEPS, most, strict=True))
+    return WindowSize((rows, columns), beams)
 
 
 def quick_evidence(

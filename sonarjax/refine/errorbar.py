@@ -1,4 +1,5 @@
 """How large the errors of a refined yaw are: the standard deviation from the curvature, corrected by the evidence.
+
 The curvature accounts for the residuals, but not for what the template lacks: bounces, another brightness of faces, a
 slightly wrong tilt or height. All of these show in how much of the frame is left over. And a yaw that hardly stands out
 from the others is less certain than its own peak suggests.
@@ -25,6 +26,7 @@ class ErrorBar(NamedTuple):
 
     def std(self, curvature_std: np.ndarray, left_over: np.ndarray, rise: np.ndarray | float) -> np.ndarray:
         """Standard deviations of yaw [rad] (*batch); infinite where the curvature's are.
+
         `curvature_std` [rad] and `left_over` [1] are (*batch); `rise` [NCC] is (*batch) or one number.
         """
         known = np.log(np.maximum(curvature_std, LEAST))

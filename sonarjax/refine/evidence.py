@@ -1,4 +1,5 @@
 """How well a refined template explains a frame: the evidence for identification, besides the height of eq. 5's peak.
+
 A threshold on a single correlation does not carry over from one device to another, because noise lowers the target's
 score as much as another object does. What does carry over is whether map and frame agree on something that the template
 lacks.
@@ -31,6 +32,7 @@ class Evidence:
     unexplained: Float[Array, "*batch"]
     """Correlation between what the map shows beyond the semantic template and what the frame shows beyond the fitted
     one.
+
     It is near 0 for the target, whose residuals are noise, and positive if both show another object.
     """
     left_over: Float[Array, "*batch"]
@@ -43,6 +45,7 @@ def gather_evidence(
     template: Float[Array, "range beam"], labels: Float[Array, "range beam"],
 ) -> Evidence:  # fmt: skip
     """Evidence for a template that was fitted to a frame.
+
     All arguments are windows (range, beam) of one place. Only the box of `labels`, with the bank's margin, counts.
 
     Args:

@@ -64,6 +64,7 @@ class PoseFinder:
         refine: RefineConfig = FINDING, engine: Engine = PLAIN,
     ) -> None:  # fmt: skip
         """Prepare the search.
+
         Args:
             mesh: The target.
             sonar: The sonar.
@@ -87,6 +88,7 @@ class PoseFinder:
 
     def __call__(self, image: Any, mask: Any = None) -> PoseEstimate:
         """The poses (hypothesis,) at which the target may be in `image` (range, beam), best first.
+
         `mask` (range, beam) is true where a pixel was measured.
 
         Raises:
@@ -125,6 +127,7 @@ class PoseFinder:
 
     def views(self, images: Any, sonar_poses: Pose, alone: Sequence[PoseEstimate] | None = None) -> PoseEstimate:
         """The poses (hypothesis,) that explain several views of one object at rest, best first.
+
         Args:
             images: Frames (view, range, beam).
             sonar_poses: x, y [m] and yaw [rad] of each sonar (view,) in a common ground frame, which is that of the

@@ -49,6 +49,7 @@ def check_free(free: Sequence[str]) -> tuple[str, ...]:
 
 def in_order(free: Sequence[str], known: Iterable[str]) -> tuple[str, ...]:
     """The names of `free` in the order of the `known` ones.
+
     Raises:
         SonarjaxError: There are none, or a name is unknown or given twice.
     """

@@ -1,4 +1,5 @@
 """The derivative of a refined pose by what it was refined from: the implicit function theorem at the solution.
+
 At a stationary point z of F(z, θ), dz/dθ = −H⁻¹ ∂²F/∂z∂θ with H = ∂²F/∂z² (Krantz and Parks, The Implicit Function
 Theorem, 2002). Both second derivatives are central differences of first derivatives, with displacements longer than the
 roughness that pixels give F. Gauss–Newton's JᵀJ alone would omit the residuals' contribution, which is large on noisy
@@ -59,6 +60,7 @@ def attach(
     free: Bool[Array, "step"], determined: Bool[Array, ""],
 ) -> Float[Array, "step"]:  # fmt: skip
     """`solution` unchanged, with its derivative by everything in `problem`; the derivative is zero unless `determined`.
+
     `curvature` is the misfit's Hessian there. Numbers that are not `free` lie on a bound or are not fitted, and leave
     the system of equations. A minimum does not depend on the start, which therefore gets no derivative.
     """

@@ -1,4 +1,5 @@
 """What refinement minimises: 1 − NCC between the rendered window and the image, as least-squares residuals.
+
 If both images are blurred, brought to mean 0 and scaled to unit norm, the sum of squared differences is 2·(1 − NCC). So
 eq. 4 becomes a least-squares problem, for any grey image.
 """
@@ -74,6 +75,7 @@ def compare(
 
 def misfit(problem: Problem, blur: Blur, step: Float[Array, "step"], reverse: bool = False) -> Float[Array, ""]:
     """1 − NCC of the blurred images at `step` [rad, m, 1] from the start: what refinement minimises.
+
     With `reverse`, reverse-mode differentiation works too (see `draw`).
     """
     drawn = draw(problem.subject, step, reverse)

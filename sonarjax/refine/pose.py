@@ -41,6 +41,7 @@ class PoseEstimate:
     """
     covariance: Float[Array, "*batch free free"]
     """Covariance of the free numbers' errors [m, rad], in the order of `free`, given the right basin.
+
     It comes from the curvature and the residuals of each beam. On labels of a render the standard deviations are as
     large as the errors; errors that neighbouring beams share make them too small. A number that is not observable has
     the covariance of its bounds, which also adds to the errors of the others. Infinite if nothing could be compared.
@@ -99,6 +100,7 @@ def refine_pose(
     engine: Engine = PLAIN,
 ) -> PoseEstimate:
     """Refine the free numbers of a pose by Levenberg–Marquardt on 1 − NCC of the rendered template.
+
     A free number that the frame does not determine (`observable`) is put back to its start, and the others are refined
     once more without it. Provided that `config.polish` is not 0, the pose has reverse-mode derivatives by image, mesh
     vertices and sonar (see `implicit`); they are zero where `determined` is False.
@@ -165,6 +167,7 @@ def search_pose(
     engine: Engine, *, free: tuple[str, ...], hold: bool,
 ) -> tuple[PoseEstimate, Drawn]:  # fmt: skip
     """As `refine_pose`, together with the templates at the solutions.
+
     `hold` puts back numbers that the frame does not determine. Without it this is not checked, and nothing counts as
     observable.
     """
@@ -222,6 +225,7 @@ def plan_refinement(
     mesh: Mesh, sonar: Sonar, start: Pose, config: RefineConfig, free: Sequence[str] = ON_FLOOR
 ) -> WindowSize:
     """Plan the size of the window that refinement renders, for starts [m, rad] of any shape. A host function.
+
     The window holds the object and its shadow at each start, with `SLACK_M` around, at any yaw, lifted and leaning as
     in the start and as far as the bounds of `free` z, roll and pitch allow. The object itself touches no more than the
     planned beams as long as x and y stay within their bounds. If the places, the mesh or the sonar are traced, the
@@ -328,6 +332,7 @@ def _searched(
     problem: Problem, search: Search, hold: bool
 ) -> tuple[Solution, Float[Array, "step step"], Observability, Bool[Array, "step"]]:
     """The search's solution, its covariance, what is observable, and which numbers were held at their start.
+
     With `hold`, the search is repeated without numbers that turn out not to be observable. It is written as a loop, so
     that the renderer is compiled once.
     """

@@ -1,4 +1,5 @@
 """Levenberg–Marquardt at a sequence of blurs, coarse to fine (the only importer of jaxopt).
+
 The template and its derivatives are rendered once in each iteration. In between, jaxopt minimises 1 − NCC of the
 template's linear model inside a trust region, which costs next to nothing compared to a render.
 """
@@ -180,6 +181,7 @@ def _linear_step(
     image: Array, weight: Array, blur: Blur, drawn: Array, slope: Array, trust: Array
 ) -> tuple[Array, Array]:
     """The step that fits the template's linear model best within the trust region, and 1 − NCC before it.
+
     If nothing can be compared (no template, or none of its pixels measured), the step is zero and the cost infinite.
     """
     rows = weight[::ROW_STRIDE]

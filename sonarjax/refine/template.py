@@ -1,4 +1,5 @@
 """What refinement fits to an image: a template rendered at a pose, and its derivatives by all fitted numbers.
+
 The `semantic` template is the one that the paper matches. The `echo` is the frame as a device would store it: each
 facet as bright as eq. 2 makes it, and the echoes by way of the floor, which appear as bars inside the shadow. Both come
 from one rendered view of the object. The echo needs a second view, that of its mirror image in the floor.
@@ -52,6 +53,7 @@ class EchoLaw:
 
 def echo_laws() -> EchoLaw:
     """The laws (law,) that are tried on a frame; the first is that of the nominal device.
+
     They span the devices that the package draws (`sensor.model`).
     """
     device = SensorModel()
@@ -92,6 +94,7 @@ class Subject:
 def labelled(share: Float[Array, "*batch"], sharpness: Float[Array, ""]) -> Float[Array, "*batch"]:
     """Turn a class's share of a pixel into what a label image shows: all or nothing, softened to a logistic step at one
     half.
+
     Without this, a beam that is half covered pulls at the estimate, although its label only says 'all'. With it the yaw
     error on labels is halved. `sharpness` 0 leaves the share unchanged.
     """
@@ -102,6 +105,7 @@ def labelled(share: Float[Array, "*batch"], sharpness: Float[Array, ""]) -> Floa
 
 def draw(subject: Subject, step: Float[Array, "step"], reverse: bool = False) -> Float[Array, "range beam"]:
     """The window's template at `step` from the start, as its difference from the grey of the bare floor.
+
     `step` holds the free numbers of the pose [rad, m] and, for the echo, the energy left after a bounce on the floor
     [1]. Forward-mode differentiation always works. With `reverse`, reverse mode works too, at the cost of always
     rendering both views.
@@ -141,6 +145,7 @@ def render_layers(
     subject: Subject, step: Float[Array, "pose"], reverse: bool = False, floor_path: Any = FLOOR_PATH
 ) -> Float[Array, "view layer range beam"]:
     """Echo, highlight and shadow of the object at `step` (pose,) [rad, m], and of its mirror image in the floor.
+
     The mirror image is left dark if the template takes only one view. `reverse` is as in `draw`, `floor_path` [1] as in
     `sensor.SensorModel`.
     """

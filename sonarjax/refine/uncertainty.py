@@ -47,6 +47,7 @@ def normal_equations(
     image: Float[Array, "range beam"], weight: Float[Array, "range beam"], found: Found
 ) -> Normal:  # fmt: skip
     """The normal equations of the image (range, beam) fitted by gain·template + offset.
+
     `noise` sums the outer products of Jᵀr over pairs of beams less than `CORRELATED_BEAMS` apart (Newey and West,
     Econometrica 55, 1987). Where an edge is slightly off, residuals along a beam and in its neighbours err together, so
     the plain σ²(JᵀJ)⁻¹ is far too small.
@@ -69,6 +70,7 @@ def error_covariance(
     normal: Normal, prior: Float[Array, "step"], held: Bool[Array, "step"], known: Bool[Array, ""]
 ) -> Float[Array, "step step"]:
     """Covariance (step, step) of the errors of a step; infinite on the diagonal where nothing is known.
+
     For fitted numbers it is (JᵀJ)⁻¹·B·(JᵀJ)⁻¹.
 
     Args:
@@ -94,6 +96,7 @@ def error_covariance(
 
 def observability(normal: Normal, prior: Float[Array, "step"], known: Bool[Array, ""], count: int) -> Observability:
     """Which numbers are determined, from the information in units of the `prior` (step,), standard deviations.
+
     The first `count` numbers are the pose's. None is determined if `known` is false. Because residuals err together,
     the information overstates what the frame says. A single factor corrects this, as in `calibrate`; a sandwich
     estimate for each direction would be mere noise where there is hardly any information.

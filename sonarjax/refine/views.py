@@ -1,4 +1,5 @@
 """One pose from several views: joint Levenberg–Marquardt over frames of one object at rest from known sonar poses.
+
 Each view's normal equations are computed in its own sonar's frame and transformed to the common frame, which for planar
 sonar poses is a constant matrix. Each view has its own bounce energy. Everything except the renders is small and stays
 on the host.
@@ -98,6 +99,7 @@ def linearise(
     size: WindowSize, quality: RenderQuality,
 ) -> tuple[tuple[Array, ...], tuple[Any, ...]]:  # fmt: skip
     """The fields of a `View` at `pose` in the view's frame, and of its `Fixed`, which is made anew if `fresh`.
+
     The window lies around `place`, and has room for the lift [m], roll and pitch [rad] in `room`.
     """
     roomy = leaning_room(mesh, *room)
@@ -324,6 +326,7 @@ def _fields(**values: Any) -> dict[str, Any]:
 
 def check_views(images: Any, sonar_poses: Pose, start: Pose, sonar: Sonar) -> np.ndarray:
     """x, y [m] and heading [rad] (view, 3) of the sonars; `images` are (view, range, beam).
+
     Raises:
         SonarjaxError: Images, poses or start do not fit together.
     """

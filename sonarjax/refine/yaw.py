@@ -29,6 +29,7 @@ class YawEstimate:
     """Position to port [m]."""
     yaw_std: Float[Array, "*batch"]
     """Standard deviation of yaw [rad] from the curvature and the residuals of each beam, given the right basin.
+
     On labels of a render it is as large as the errors; errors that neighbouring beams share make it too small. Infinite
     if nothing could be compared.
     """
@@ -61,6 +62,7 @@ def refine_yaw(
     engine: Engine = PLAIN,
 ) -> YawEstimate:
     """Refine yaw, x and y of an object on the floor by Levenberg–Marquardt on 1 − NCC of the rendered template.
+
     This is `refine_pose` with these three numbers free, with one simplification: a yaw that the frame does not
     determine is not put back to its start. Yaw, x and y have derivatives as the pose of `refine_pose` has.
 

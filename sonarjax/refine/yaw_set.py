@@ -1,4 +1,5 @@
 """All yaws that one frame allows: a mixture of weighted modes, and the smallest set that holds a given probability.
+
 A symmetric object looks the same at several yaws, and with noise so does a nearly symmetric one. A single yaw with an
 error bar then claims too much. The modes are the refined hypotheses, and the other peaks of the bank's scores, which
 were not refined.
@@ -100,6 +101,7 @@ class YawSet:
 
     def intervals(self, coverage: float = 0.95) -> tuple[YawInterval, ...]:
         """The smallest set of yaws that has the probability `coverage`, as disjoint intervals, the most likely first.
+
         It is the set of highest density (Hyndman, Computing and Graphing Highest Density Regions, The American
         Statistician 50, 1996), accurate to a few hundredths of a standard deviation.
 
@@ -150,6 +152,7 @@ def make_yaw_set(
     weights: YawWeights,
 ) -> YawSet:  # fmt: skip
     """The set of yaws from refined hypotheses and from the other peaks of the bank's scores.
+
     Args:
         yaws: Yaws of the refined hypotheses (hypothesis,) [rad], best first.
         stds: Their standard deviations (hypothesis,) [rad].

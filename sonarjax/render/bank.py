@@ -77,6 +77,7 @@ def template_bank(
     engine: Engine = PLAIN,
 ) -> TemplateBank:
     """Render the object at one place for each yaw, cropped to one box. A host function.
+
     Views are rendered one after another in a window around the object, so memory grows only with the templates.
 
     Args:

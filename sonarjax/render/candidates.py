@@ -14,6 +14,7 @@ def front_faces(
     vertices: Float[Array, "vertex 3"], faces: Int[Array, "face 3"], closed: Bool[Array, ""]
 ) -> Bool[Array, "face"]:
     """Which triangles (face,) can be seen from the sonar head: those that face it; all of them if the surface is open.
+
     Vertices (vertex, 3) [m] are in the sonar frame. Padding (zero-area) triangles are never seen.
     """
     a, b, c = (vertices[faces[:, k]] for k in range(3))
@@ -31,6 +32,7 @@ def candidates(
     front: int,
 ) -> tuple[Int[Array, "slab_or_1 candidate"], Int[Array, ""]]:
     """List the triangles that the half-plane of each slab may cut.
+
     Args:
         vertices: Vertices (vertex, 3) [m] in the sonar frame.
         faces: Vertex numbers (face, 3) of the triangles.
@@ -72,6 +74,7 @@ def _compacted(wanted: Bool[Array, "slab face"], limit: int) -> Int[Array, "slab
 
 def _sparse(vertices: Array, faces: Array, seen: Array, azimuth: Array, limit: int) -> tuple[Array, Array]:
     """As `candidates`, from a list of (slice, triangle) pairs.
+
     A triangle is cut by consecutive slices. Most small triangles are cut by none, and these take no space in the list.
     """
     ahead = jnp.searchsorted(azimuth, jnp.arctan2(vertices[:, 1], vertices[:, 0])).astype(jnp.int32)

@@ -22,6 +22,7 @@ def strength(
     distance: Float[Array, "*#batch"], cosine: Float[Array, "*#batch"], sonar: Sonar
 ) -> Float[Array, "*batch"]:
     """Echo of a first hit (eq. 2 with I0 = k = 1): spreading, absorption and Lambert's law.
+
     Args:
         distance: Slant range [m].
         cosine: Cosine of the angle of incidence [1].
@@ -37,6 +38,7 @@ def object_energy(
     reflectivity: Float[Array, "face"] | None = None,
 ) -> Float[Array, "slab range"]:  # fmt: skip
     """Energy [rad/m²] that the object sends back into each range bin of each slab.
+
     Each interval is cut into cells. A cell's energy is spread evenly over the ranges that it covers, and over those
     that its surface passes across the slab.
 
@@ -84,6 +86,7 @@ def object_energy(
 
 def _cells(ends: Ends, azimuth: Float[Array, "slab"], scene: Scene, cells: int) -> tuple[Array, ...]:
     """The cells of each interval at `azimuth` [rad].
+
     Returns:
         Range [m], elevation tangent and cosine of incidence, each (slab, interval, cell end), then the nearest and the
         farthest range [m] that the cell's facet reaches, each (slab, interval, cell).
@@ -113,6 +116,7 @@ def _cells(ends: Ends, azimuth: Float[Array, "slab"], scene: Scene, cells: int) 
 
 def _spread(energy: Array, near: Array, far: Array, edges: Float[Array, "edge"]) -> Float[Array, "slab range"]:
     """Spread energies (slab, cell) evenly over [near, far] [m]: at each edge of a bin the difference of two ramps.
+
     Only the ends of ramps are scattered, then summed along range, so the cost does not grow with the number of bins.
     """
     bins, step = len(edges) - 1, edges[1] - edges[0]
@@ -136,6 +140,7 @@ def floor_energy(
 ) -> Float[Array, "range beam"]:
     """Energy [rad/m²] of the bare floor in each range bin: the elevations that see it between two range `edges` (edge,)
     [m].
+
     Exact in elevation: for a line at distance d from the sonar head, the point at range r is seen acos(d/r) away from
     the perpendicular.
     """

@@ -11,6 +11,7 @@ from sonarjax.sonar import Sonar
 
 def check_fits(mesh: Mesh, sonar: Sonar, name: str) -> None:
     """Check that the mesh is not longer than the sonar's range; `name` opens the error message.
+
     A part of 90 mm whose file is read as metres looks like an object of 90 m; only the sonar's range shows the mistake.
 
     Raises:

@@ -13,6 +13,7 @@ from sonarjax.sonar import Sonar
 
 def write_frame(path: str | os.PathLike[str], frame: SonarFrame, sonar: Sonar) -> None:
     """Write a frame (range, beam) and the axes of its sonar to an NPZ file.
+
     The array `image` is the semantic map, so the file can be given to `recognize`.
 
     Raises:

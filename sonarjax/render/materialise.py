@@ -11,6 +11,7 @@ import jax.numpy as jnp
 
 def materialised(stage: Callable[..., Any], *slabs: Any) -> Any:
     """Compute `stage(*slabs)` in two halves, for arrays whose first axis is the slab.
+
     XLA fuses a cheap stage into each of its uses, and into gathers, where it is computed many times over: on a CPU a
     render takes twice as long. The result of a loop is written to memory once, hence the two halves. Use it only for
     values that carry no gradient.

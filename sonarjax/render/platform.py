@@ -13,6 +13,7 @@ FAR_M = 1e4
 
 def platform_span(azimuth: Float[Array, "*slab"], scene: Scene, sonar: Sonar) -> tuple[Array, Array]:
     """First and last slant range [m], each (..., slab, 1), on the platform; (0, FAR_M) if the floor is endless.
+
     On the floor line of a slice, each side of the rectangle is a linear inequality in tau.
     """
     if sonar.floor is None:

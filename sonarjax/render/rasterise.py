@@ -11,6 +11,7 @@ def covered(
     middle: Float[Array, "slab 2 item"], half: Float[Array, "slab 2 item"], present: Bool[Array, "slab item"], rows: int
 ) -> Float[Array, "slab range"]:
     """Share (slab, `rows`) of each range bin that the items' spans cover, at most 1.
+
     Exact for a single span whose ends move linearly across the slab: the mean over the slab of the clipped overlap.
 
     Args:
@@ -27,6 +28,7 @@ def spread(
     middle: Float[Array, "slab 2 item"], half: Float[Array, "slab 2 item"], weight: Float[Array, "slab item"], rows: int
 ) -> Float[Array, "slab range"]:
     """Sum (slab, `rows`) over items of `weight` times the share of each range bin that the item's span covers.
+
     Arguments as in `covered`. An item of weight zero does not count, whatever its ends are.
     """
     shares = jnp.where(weight[..., None] != 0, weight[..., None] * _overlap(middle, half, rows), 0.0)

@@ -36,6 +36,7 @@ class WindowSize:
 
 def plan_window(mesh: Mesh, sonar: Sonar, ground_range: float, slack: float = 0.0) -> WindowSize:
     """Plan the size of a window that holds an object and its shadow. A host function.
+
     Args:
         mesh: The object; holds concrete numbers.
         sonar: The sonar; holds concrete numbers.
@@ -47,6 +48,7 @@ def plan_window(mesh: Mesh, sonar: Sonar, ground_range: float, slack: float = 0.
 
 def window_shape(mesh: Mesh, sonar: Sonar, ground_range: float, slack: float = 0.0) -> tuple[int, int]:
     """Pixels (range, beam) that hold the object and its shadow at `ground_range` [m] and up to `slack` [m] around it.
+
     `sonar` must hold concrete numbers. Never more than the frame.
     """
     reach = float(mesh.radius) + slack
@@ -59,6 +61,7 @@ def window_shape(mesh: Mesh, sonar: Sonar, ground_range: float, slack: float = 0
 
 def object_columns(mesh: Mesh, sonar: Sonar, ground_range: float, slack: float = 0.0) -> int:
     """Most beams that the object itself can touch at `ground_range` [m] and up to `slack` [m] around it.
+
     `sonar` must hold concrete numbers.
     """
     width = _azimuth_width(mesh, sonar, ground_range, float(mesh.radius) + slack)
@@ -94,6 +97,7 @@ def _slant_extent(mesh: Mesh, sonar: Sonar, ground_range: float, slack: float) -
 
 def place_window(size: WindowSize, mesh: Mesh, sonar: Sonar, x: Any, y: Any, slack: float = 0.0) -> Window:
     """Place a window of planned `size` around an object at (x, y) [m], shifted to lie inside the frame.
+
     `x` and `y` may be traced. `slack` [m] is how far the object may be from there, as in `plan_window`.
     """
     shape = size.shape
@@ -109,6 +113,7 @@ def place_window(size: WindowSize, mesh: Mesh, sonar: Sonar, x: Any, y: Any, sla
 
 def leaning_room(mesh: Mesh, lift: Any, roll: Any, pitch: Any) -> Mesh:
     """The mesh with the radius and top it has when lifted by `lift` [m] and tilted by `roll` and `pitch` [rad].
+
     Windows are sized by radius and top; the vertices stay as they are. For an upright object on the floor both are
     unchanged. Nothing is compiled unless a number is traced.
     """

@@ -1,4 +1,5 @@
 """Cut triangles with a half-plane of constant azimuth into segments in the plane of elevation tangent and 1/range.
+
 With tau = tan(elevation) and s = 1 / planar range, a plane of eq. 1 becomes the straight line s = G · (cos θ, sin θ,
 tau). The nearest surface of a slice is therefore the upper envelope of straight segments.
 """
@@ -48,6 +49,7 @@ def plane_line(
     corners: Float[Array, "*#batch 3 3"], azimuth: Float[Array, "*#batch"]
 ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
     """Line s = a + b·tau that the plane of each triangle (..., corner, xyz) [m] becomes at `azimuth` [rad].
+
     Returns:
         (a, b) [1/m].
     """

@@ -27,6 +27,7 @@ def render(
     quality: RenderQuality = RenderQuality(),
 ) -> SonarFrame:
     """Simulate the frame of one object, or of several objects in one scene (§2.1, eq. 1–2).
+
     The frame is differentiable in every float of `pose`, `sonar` and the mesh vertices, visibility included, and works
     under `jit`, `vmap`, `grad` and `jacfwd`. For a batch of sonars use `jax.vmap`.
 
@@ -56,6 +57,7 @@ def render(
 
 def with_enough_room(rendered: Callable[[Mesh], Any], mesh: Mesh) -> Any:
     """Call `rendered(mesh)`, and again with a roomier mesh as long as its result reports an `overflow`.
+
     A traced overflow has no value yet, so it is left to the caller.
     """
     found = rendered(mesh)
@@ -90,6 +92,7 @@ def one_by_one(function: Callable[[Any], Any], items: Any) -> Any:
 
 def place_together(meshes: Sequence[Mesh], poses: Pose | Sequence[Pose]) -> tuple[Mesh, Pose]:
     """Join several objects at their poses into one mesh in the ground frame.
+
     Returns:
         The joined mesh, and its pose, which is the origin.
 

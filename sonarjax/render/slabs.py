@@ -1,4 +1,5 @@
 """Place the slabs of azimuth: they end at beam edges and at azimuths where the profile may jump.
+
 Between two neighbouring vertex azimuths a triangle is cut by all half-planes or by none, so the visible profile is a
 continuous function of azimuth. Only a vertical edge can make it jump. Slabs therefore end at vertex azimuths, and these
 ends move with the pose. The derivative of an integral over azimuth then keeps the boundary term of Leibniz' rule, which
@@ -32,6 +33,7 @@ def make_slabs(
     azimuth_edges: Float[Array, "edge"], events: Float[Array, "event"], sub_beams: int, columns: int | None = None
 ) -> Slabs:
     """Divide beams into slabs: `sub_beams` equal parts each, divided further at the event azimuths.
+
     Args:
         azimuth_edges: Edges (edge,) of the beams [rad], ascending.
         events: Azimuths (event,) [rad] at which a slab must end.
@@ -58,6 +60,7 @@ def event_azimuths(
     vertices: Float[Array, "vertex 3"], faces: Int[Array, "face 3"], crease: Int[Array, "crease"], limit: int
 ) -> Float[Array, "event_and_ends"]:
     """Azimuths (event + 2,) [rad] of the vertices at sharp edges, and of the two outermost vertices of the mesh.
+
     The outermost two are where a smooth body begins and ends. If more than `limit` vertices lie at sharp edges, those
     where this view's profile jumps most are taken. Vertices (vertex, 3) [m] are in the sonar frame.
     """
@@ -73,6 +76,7 @@ def event_azimuths(
 
 def silhouette_jump(vertices: Float[Array, "vertex 3"], faces: Int[Array, "face 3"]) -> Float[Array, "vertex"]:
     """How far the profile may jump at the azimuth of each vertex (vertex, 3) [m], in tangents of elevation [1].
+
     The profile jumps where a silhouette is steep. The value is the extent in elevation of the silhouette edges at a
     vertex, minus their extent in azimuth. An edge is a silhouette if only one of its two triangles faces the sonar
     head. Each triangle adds its edges, with a sign, to the vertices at their ends; edges between two triangles that

@@ -1,4 +1,5 @@
 """Turn a slice's visible intervals into echo spans and occluded spans, whose ends are differentiable numbers.
+
 An *echo span* is a chain of visible intervals without a gap in range: its echo covers every range between its nearest
 and its farthest point. An *occluded span* is a chain of visible intervals without a gap in elevation: it hides all
 floor between its ends. Finding the chains carries no gradient; `trace_ranges` then computes their ends from the
@@ -76,6 +77,7 @@ class Spans(NamedTuple):
 
 def max_items(crossings: int, by_facet: bool = False, objects: int = 0) -> tuple[int, int]:
     """How many echo spans and how many occluded spans a slice keeps; any further ones are joined to the last.
+
     The estimate allows three triangles to an echo span and four to an occluded span. `by_facet` allows one triangle to
     an echo span. Where spans are told apart by object, each of the `objects` may add one more.
     """
@@ -100,6 +102,7 @@ def find_spans(
     owner: Int[Array, "slab interval"] | None = None,
 ) -> Spans:
     """Join visible intervals to echo spans and occluded spans.
+
     Args:
         intervals: The visible intervals.
         segments: The candidates' segments.
@@ -180,6 +183,7 @@ def _chain(member: Bool[Array, "slab interval"], starts: Bool[Array, "slab inter
 
 def _extreme(value: Float[Array, "slab interval"], chain: Bool[Array, "slab interval item"], sign: int) -> Array:
     """The interval (slab, item) with the least (sign -1) or largest (sign 1) value in its chain.
+
     One integer reduction finds it: positive floats sort like their bits, and the interval's number replaces the lowest.
     """
     bits = (value.shape[1] - 1).bit_length()
@@ -216,6 +220,7 @@ def _ends(
 
 def all_ends(intervals: VisibleIntervals, segments: Segments, table: Int[Array, "slab candidate"]) -> Ends:
     """The ends (slab, 2 × interval) of every visible interval, all lower ends first, for the energy integral.
+
     Where a smooth surface continues across an edge of its tessellation, the end stays at its elevation. Both sides show
     the same ranges there, and such an edge may sweep over the whole surface within one slab.
     """
@@ -232,6 +237,7 @@ def _smooth_sides(
     intervals: VisibleIntervals, segments: Segments
 ) -> tuple[Bool[Array, "slab interval"], Bool[Array, "slab interval"]]:
     """Whether each interval's surface continues smoothly below it, and above it: no step in range and no sharp edge.
+
     Intervals between segments that merely touch are skipped: which of the two surfaces they show is chance.
     """
     count = intervals.winner.shape[1]
@@ -277,6 +283,7 @@ def trace_tau(
     ends: Ends, azimuth: Float[Array, "slab 1"], scene: Scene, surface: tuple[Array, Array]
 ) -> tuple[Float[Array, "slab item"], Float[Array, "slab item"]]:
     """Compute each end from the vertices, as a differentiable function of `azimuth` [rad].
+
     `surface` is the line (a, b) of the surface at the end.
 
     Returns:
@@ -307,6 +314,7 @@ def _corner(corners: Float[Array, "*batch 3 3"], index: Int[Array, "*batch"]) ->
 def trace_ranges(spans: Spans, azimuth: Float[Array, "slab"], scene: Scene) -> Float[Array, "slab end"]:
     """Slant ranges [m] of all ends at `azimuth` [rad]: points on the object for echo spans, on the floor for occluded
     spans.
+
     The floor at and above the horizon is put very far away. Differentiable in `azimuth` too, at the middle of the
     slabs.
     """
@@ -333,6 +341,7 @@ def trace_ranges(spans: Spans, azimuth: Float[Array, "slab"], scene: Scene) -> F
 def facet_width(spans: Spans, azimuth: Float[Array, "slab"], scene: Scene) -> Float[Array, "slab end"]:
     """Azimuth [rad] over which each end can be followed: the width, seen from above, of its edge or its surface if
     narrower.
+
     Only the ends of echo spans lie on a surface of their own; those of occluded spans lie on the floor.
     """
     c, s = jnp.cos(azimuth)[:, None, None], jnp.sin(azimuth)[:, None, None]

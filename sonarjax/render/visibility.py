@@ -1,4 +1,5 @@
 """Exact visibility in one slice: the upper envelope of line segments, as an ordered list of visible intervals.
+
 Nothing here carries a gradient. For each end of an interval this file records what makes it: a mesh edge, a crossing of
 two planes, the aperture or the floor. `spans.py` recomputes the end from the vertices, as a differentiable number.
 """
@@ -35,6 +36,7 @@ class VisibleIntervals(NamedTuple):
 
 def visible_intervals(segments: Segments, crossing: bool, elevations: int) -> VisibleIntervals:
     """Find the visible intervals of each slice.
+
     Exact for up to EXACT_LIMIT candidates in a slice. Above that, the nearest triangle is sampled.
 
     Args:
@@ -54,6 +56,7 @@ def is_sampled(segments: Segments) -> bool:
 
 def _nearest(segments: Segments, tau: Float[Array, "slab point"]) -> Int[Array, "slab point"]:
     """The candidate with the largest 1/range at each elevation tangent, or -1 where there is none.
+
     A single integer maximum finds it, because the candidate's number replaces the lowest bits of 1/range. These bits
     are worth 1/2¹³ of the range for 1,024 candidates and 1/2¹⁹ for 16, which is below any sonar's resolution. The loop
     over candidates keeps XLA from fusing the segments into the comparison, where it would compute them anew at every
@@ -175,6 +178,7 @@ def _end(segments: Segments, index: Array, side: int) -> Array:
 
 def _boundaries(segments: Segments, node: Array, winner: Array) -> tuple[Array, Array, Array, Array]:
     """Where the nearest surface changes between neighbouring samples.
+
     The sampling may miss candidates between two samples, so the end of the nearest candidate's segment need not be
     where its surface ends. The rules, in this order: if such an end lies on the other candidate's line, the two
     surfaces meet there. Otherwise they meet where their lines cross, if that is between the samples. Otherwise one

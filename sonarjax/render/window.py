@@ -1,4 +1,5 @@
 """The simulator's core: render one window of a sonar image from a surface in the sonar frame (§2.1, eq. 1–2).
+
 The stages, each in its own file: azimuth slabs (`slabs`); the triangles that each slab may see, cut by its half-plane
 (`candidates`, `segments`); the visible intervals (`visibility`); echo spans and occluded spans with differentiable ends
 (`spans`); the share of each range bin that the spans cover (`rasterise`).
@@ -80,6 +81,7 @@ def find_visible(
     objects: Objects | None = None,
 ) -> VisibleProfile:  # fmt: skip
     """Find the visible profile in the middle of each slab; nothing in it carries a gradient.
+
     `by_facet` as in `find_spans`. If `objects` are given, no span joins two of them.
     """
     fixed = stop_gradient(scene)
@@ -112,6 +114,7 @@ def find_visible(
 
 def render_window(mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, quality: RenderQuality) -> SonarFrame:
     """Render one window of the image: slabs → candidates → visible intervals → spans → rasterise.
+
     Under `jax.jit`, layers of the frame that are not used cost nothing.
 
     Args:
@@ -188,6 +191,7 @@ def render_echo(
     by_facet: Bool[Array, ""] | bool = True,
 ) -> EchoLayers:
     """Render an object's echo facet by facet, with its highlight and shadow, in a window of the image.
+
     The echo is the elevation that first hits fill. Multiplied by eq. 2's spreading for each range, it is the object's
     energy as in `render_window`, at the cost of a highlight: a facet's elevation is spread evenly over the ranges that
     it shows in a slab. The gradient covers where this elevation falls, not how much it is. The echo does not depend on

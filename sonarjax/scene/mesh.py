@@ -1,4 +1,5 @@
 """Triangle meshes as padded arrays, read by trimesh (only `scene/` imports it).
+
 Meshes are padded to a few fixed sizes, so that meshes of different size share compiled code. What the renderer must
 know about a mesh before it compiles, such as how many triangles a slice can cross, is measured here, on the host.
 """
@@ -31,6 +32,7 @@ CHECKED_FACES = 1000  # larger meshes are assumed to pass through themselves, be
 @record
 class Mesh:
     """A triangle surface in its own frame [m]; a pytree that is differentiable in `vertices`.
+
     Build it with `Mesh.load`, `Mesh.from_arrays` or the functions of `sonarjax.scene.objects`. `stack_meshes` makes a
     batch for `jax.vmap`. Only counts are static: two meshes of one padded size and capacity share compiled code.
     """
@@ -63,6 +65,7 @@ class Mesh:
     @classmethod
     def load(cls, path: str | Path, unit_m: float | None = None) -> Mesh:
         """Read a surface from any format that trimesh reads (STL, OBJ, PLY, GLB, 3MF, OFF, …).
+
         Args:
             path: The mesh file.
             unit_m: Length of the file's unit [m]. By default the unit that the file names, or else metres.
@@ -89,6 +92,7 @@ class Mesh:
     @classmethod
     def from_arrays(cls, vertices: Any, faces: Any, name: str = "mesh") -> Mesh:
         """Make a mesh from arrays.
+
         Args:
             vertices: Vertices (vertex, 3) [m].
             faces: Vertex numbers (face, 3) of the triangles.
@@ -116,6 +120,7 @@ class Mesh:
 
     def with_vertices(self, vertices: Float[Array, "vertex 3"]) -> Mesh:
         """The same triangles with other vertex positions (vertex, 3) [m], to deform a shape or differentiate by it.
+
         The gradient by the shape is `jax.grad(lambda v: loss(mesh.with_vertices(v)))(mesh.vertices)`. For concrete
         vertices, what slices can meet is measured again. For traced ones it is kept, and `SonarFrame.overflow` says
         whether it still suffices.
@@ -152,6 +157,7 @@ class Mesh:
 
 def stack_meshes(meshes: Sequence[Mesh]) -> Mesh:
     """Stack several meshes into one batch (mesh, ...) for `jax.vmap`, padded to common sizes and capacities.
+
     Raises:
         SonarjaxError: The sequence is empty.
 

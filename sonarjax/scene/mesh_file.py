@@ -1,4 +1,5 @@
 """Check mesh files before trimesh opens them: their size, what their headers announce, and why they cannot be read.
+
 A header of a few bytes can ask for any amount of memory, so it is checked first. On a corrupt file trimesh tries one
 reader after another and reports the trouble of the last; the messages here say what is wrong with the file.
 """

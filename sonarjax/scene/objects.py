@@ -18,6 +18,7 @@ Arrays = tuple[np.ndarray, np.ndarray]
 
 def box(size: tuple[float, float, float], center: tuple[float, float, float], yaw: float = 0.0) -> Arrays:
     """A box as vertices (8, 3) [m] and triangles (12, 3) that face outwards.
+
     Args:
         size: Length, width and height [m].
         center: Centre [m].
@@ -82,6 +83,7 @@ def brick(length: float = BRICK_M[0], width: float = BRICK_M[1], height: float =
 
 def target() -> Mesh:
     """The target of Fig. 6: two bricks in an L and a third across the corner. It has no symmetry in yaw.
+
     The bottom bricks stand 1 mm apart, so that no two faces coincide.
     """
     height = BRICK_M[2]
@@ -120,6 +122,7 @@ def ball(radius: float = 0.11, rings: int = 24, sectors: int = 48) -> Mesh:
 
 def tank(size: tuple[float, float, float] = TANK_M) -> Mesh:
     """The four walls of the tank of Table 1 around the origin; `size` = length, width, height [m].
+
     The surface is open: both sides of a wall reflect.
     """
     vertices, faces = box(size, (0.0, 0.0, size[2] / 2))

@@ -17,6 +17,7 @@ Scalar = Any  # a Python float, a NumPy scalar or a JAX array of any batch shape
 @record
 class Pose:
     """Pose of an object in the ground frame (x forward, y to port, z up; origin on the floor under the sonar).
+
     The constructor broadcasts numbers and arrays to float32 fields of one shape `*batch`. A batch of poses is a batch
     for `render` and for `jax.vmap`: `jax.vmap(f)(Pose(x=xs, y=0.0, yaw=yaws))`. The rotation is yaw, then pitch, then
     roll about the object's own axes: R = Rz(yaw) Ry(pitch) Rx(roll).

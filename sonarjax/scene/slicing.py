@@ -19,6 +19,7 @@ def most_crossings(
 ) -> int:
     """Most triangles that a vertical plane through `vertices` (vertex, 3) [m] crosses, over sampled directions, plus 15
     %.
+
     For a `closed` surface only triangles that face the sonar count. Each direction is also tried with two tilts,
     because pitch and roll bring other triangles into the slice. The 15 % allow for the directions in between.
     """
@@ -72,6 +73,7 @@ def _deepest_overlap_by_bins(starts: np.ndarray, ends: np.ndarray) -> int:
 
 def most_front(vertices: Float[np.ndarray, "vertex 3"], faces: Int[np.ndarray, "face 3"], directions: int = 256) -> int:
     """Most triangles of a closed surface that face a distant point, over sampled directions, plus 10 %.
+
     Vertices (vertex, 3) [m]. The directions lie on a Fibonacci spiral over the sphere, which covers any roll and pitch.
     """
     normals = _normals(vertices.astype(np.float64), faces)
@@ -87,6 +89,7 @@ def most_front(vertices: Float[np.ndarray, "vertex 3"], faces: Int[np.ndarray, "
 
 def has_crossing_triangles(vertices: Float[np.ndarray, "vertex 3"], faces: Int[np.ndarray, "face 3"]) -> bool:
     """True if an edge of the surface passes through the inside of one of its triangles (Möller and Trumbore, 1997).
+
     Bodies that merely touch, such as bricks in a pile, do not cross. Vertices (vertex, 3) are in metres.
     """
     points = vertices.astype(np.float64)

@@ -1,4 +1,5 @@
 """From a grey frame to a semantic map (§2.2): the pix2pix network, and classical baselines with the same call.
+
 `load_segmenter(name)` gives a `Segmenter`. The names in `SEGMENTERS`:
 
 - `pix2pix`: the shipped network. It looks at tiles of the frame, then more closely at each object.

@@ -25,6 +25,7 @@ def threshold_labels(
     image: Float[np.ndarray, "range beam"], name: str, mask: Bool[np.ndarray, "range beam"] | None = None
 ) -> UInt8[np.ndarray, "range beam"]:
     """Labels (range, beam) of a grey frame (range, beam): 0 background, 1 highlight, 2 shadow.
+
     `otsu1` uses Otsu's single threshold: highlight above it, no shadow. `otsu3` uses his two thresholds on the frame,
     `otsu` on its 3 × 3 median and `median-otsu` on its 5 × 5 median: highlight above the upper one, shadow at or below
     the lower one. `none` cuts the frame at 1/4 and 3/4. Otsu's thresholds are those of the pixels inside `mask`. If
@@ -45,6 +46,7 @@ def threshold_labels(
 
 def to_grey(labels: Any) -> Float[np.ndarray, "*batch range beam"]:
     """Turn labels (range, beam), or a stack of them, into grey images: shadow 0, background 0.5, highlight 1.
+
     >>> to_grey([[0, 1, 2]]).tolist()
     [[0.5, 1.0, 0.0]]
     """
@@ -53,6 +55,7 @@ def to_grey(labels: Any) -> Float[np.ndarray, "*batch range beam"]:
 
 def from_grey(grey: Any) -> Any:
     """Labels of a grey map of any shape, NumPy or JAX: highlight above 3/4, shadow below 1/4, else background.
+
     If a network hesitates between background and another class, this is the more likely of the two. If it hesitates
     between highlight and shadow, this is background.
     """
@@ -84,6 +87,7 @@ def _two_thresholds(values: Float[np.ndarray, " pixel"]) -> tuple[float, float]:
 
 def _split_groups(values: Float[np.ndarray, " pixel"], middle: float) -> tuple[float, float]:
     """Two thresholds for values that lie in two narrow groups, below and above `middle`.
+
     In a histogram such values look like two, too few for three classes. One threshold separates the groups. The other
     is Otsu's threshold within one of them, the one where it adds more to the variance between classes.
     """

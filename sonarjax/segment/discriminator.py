@@ -29,6 +29,7 @@ class Discriminator(nn.Module):
         self, x: Float[Array, "batch height width 1"], y: Float[Array, "batch height width 1"]
     ) -> Float[Array, "batch patchrow patchcolumn 1"]:
         """Logits (batch, patchrow, patchcolumn, 1), positive for true maps.
+
         Normalisation always uses the batch's own statistics, because the discriminator is used in training only.
 
         Args:

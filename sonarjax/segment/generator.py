@@ -23,6 +23,7 @@ DROPOUT = 0.5
 
 class Generator(nn.Module):
     """Seven convolutions of stride 2 down to 1 × 1, a bottleneck layer, and seven transposed convolutions back up.
+
     Dropout in the first three layers of the way up is the random input z of the paper. Give `rngs={"dropout": key}` to
     draw it; without it the answer is the mean. Layers 7 and 8 have one pixel for each crop, hence no normalisation.
     Layers 7 and 9 have only the 2 × 2 taps that reach that pixel: the other taps of a 4 × 4 kernel would see padding,
@@ -49,6 +50,7 @@ class Generator(nn.Module):
         self, x: Float[Array, "batch height width 1"], train: bool = False
     ) -> Float[Array, "batch height width output"]:
         """Turn images (batch, height, width, 1) in [−1, 1] into maps (batch, height, width, output).
+
         Args:
             x: Images; height and width are multiples of 128.
             train: Normalise by the batch's own statistics, and update the running ones.
@@ -96,6 +98,7 @@ class Generator(nn.Module):
 
 def to_grey(output: Float[Array, "batch height width output"]) -> Float[Array, "batch height width 1"]:
     """Turn a generator's output (batch, height, width, output) into grey (batch, height, width, 1) in [−1, 1].
+
     A single channel is grey already. Three logits give the probability of highlight minus that of shadow.
     """
     if output.shape[-1] == 1:

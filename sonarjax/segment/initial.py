@@ -1,4 +1,5 @@
 """Initial weights: pix2pix's draw of all weights, from a single draw of normal numbers.
+
 Flax's own `init` draws each array separately. Compiling those fifty draws takes XLA half a minute.
 """
 

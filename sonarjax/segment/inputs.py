@@ -1,4 +1,5 @@
 """What a network is given of a grey image: the grey itself, or numbers that a display law does not change.
+
 A display law is a monotone curve from energy to grey. It differs between devices and between settings of their gain.
 The rank of a pixel among all pixels of its image is the same under every such curve.
 """
@@ -24,6 +25,7 @@ def network_input(
     x: Float[Array, "batch height width 1"], inputs: Inputs
 ) -> Float[Array, "batch height width channel"]:
     """Channels (batch, height, width, channel) in [−1, 1] from images (batch, height, width, 1) in [−1, 1].
+
     `grey` is the image itself. `ranks` gives the rank of each pixel in its image (histogram equalisation: Gonzalez and
     Woods, Digital Image Processing, 2018, ch. 3), and its deviation from the image's mean in standard deviations,
     saturated. Both are differentiable, because the histogram counts with linear weights.
@@ -38,6 +40,7 @@ def network_input(
 
 def ranks(image: Float[Array, "height width"]) -> Float[Array, "height width"]:
     """Share of an image's (height, width) pixels that are darker than each pixel, in [0, 1]; the image is in [−1, 1].
+
     Pixels of equal value count half, so an even image gives 0.5 everywhere.
     """
     place = jnp.clip((image + 1) / 2, 0.0, 1.0) * (LEVELS - 1)

@@ -1,4 +1,5 @@
 """Stride-2 4 × 4 convolutions, down and up: plain functions with two backends, and flax modules that use them.
+
 The backend `convolution` is `lax.conv_general_dilated`, for GPUs and TPUs. On CPUs XLA runs it slowly, its gradients
 and the transposed convolution most of all. There the backend `product` computes the same layer as matrix products. Maps
 are channels-last.
@@ -27,6 +28,7 @@ def down(
     backend: Backend = "auto",
 ) -> Float[Array, "batch halfheight halfwidth feature"]:
     """Convolve maps (batch, height, width, channel) with `kernel` (4, 4, channel, feature): stride 2, padding 1.
+
     Height and width are even. Both backends give the same numbers.
 
     Returns:
@@ -44,6 +46,7 @@ def up(
 ) -> Float[Array, "batch twiceheight twicewidth feature"]:
     """Transposed convolution of maps (batch, height, width, channel) with stride 2: each pixel spreads over 4 × 4
     pixels.
+
     `kernel` (4, 4, feature, channel) is that of the `down` whose transpose this is: out[2i + a − 1, 2j + b − 1] sums
     kernel[a, b] · x[i, j]. Both backends give the same numbers.
 
@@ -62,6 +65,7 @@ def down_two(
     x: Float[Array, "batch height width channel"], kernel: Float[Array, "2 2 channel feature"]
 ) -> Float[Array, "batch halfheight halfwidth feature"]:
     """Convolve maps (batch, height, width, channel) with `kernel` (2, 2, channel, feature): stride 2, no padding.
+
     On a 2 × 2 map it equals `down`, because the other twelve taps of a 4 × 4 kernel see only padding.
 
     Returns:
@@ -76,6 +80,7 @@ def up_two(
     x: Float[Array, "batch height width channel"], kernel: Float[Array, "2 2 feature channel"]
 ) -> Float[Array, "batch twiceheight twicewidth feature"]:
     """Transpose of `down_two`, of maps (batch, height, width, channel), with the same kernel (2, 2, feature, channel).
+
     On a 1 × 1 map it equals `up`.
 
     Returns:
@@ -92,6 +97,7 @@ def patch(
     backend: Backend = "auto",
 ) -> Float[Array, "batch lessheight lesswidth feature"]:
     """Convolve maps (batch, height, width, channel) with `kernel` (4, 4, channel, feature): stride 1, padding 1.
+
     The backend `product` is fast only for few features.
 
     Returns:

@@ -1,4 +1,5 @@
 """The losses of segmentation: eq. 3 of the paper for pix2pix, cross-entropy for the 'discriminative model'.
+
 The paper prints E[1 − log D] as the second term of eq. 3. The GAN loss is E[log(1 − D)], and that is used here. The
 last term is λ E|N(y − x) − N(G(x, z) − x)|₁, where N maps to [−1, 1]. All functions take the logits of D, never D
 itself.
@@ -25,6 +26,7 @@ def discriminator_loss(
 
 def adversarial_loss(fake: Float[Array, "batch patchrow patchcolumn 1"], saturating: bool = False) -> Float[Array, ""]:
     """The adversarial part of what G minimises, from the logits (batch, patchrow, patchcolumn, 1) of its maps.
+
     It is −E[log D(x, G)]. With `saturating` it is E[log(1 − D(x, G))] as in eq. 3, whose gradient vanishes where D is
     sure.
     """
@@ -35,6 +37,7 @@ def normalise_difference(
     difference: Float[Array, "batch height width 1"], normaliser: Normaliser
 ) -> Float[Array, "batch height width 1"]:
     """N of eq. 3: map differences (batch, height, width, 1) of images in [−1, 1] to [−1, 1].
+
     `affine` is the fixed map d / 2. `per_image` maps each image's smallest difference to −1 and its largest to 1; an
     image without differences stays 0.
     """
@@ -52,6 +55,7 @@ def distance_loss(
     normaliser: Normaliser = "affine",
 ) -> Float[Array, ""]:
     """E|N(y − x) − N(G − x)|₁ of eq. 3, the mean over pixels; image, truth and `made` are (batch, height, width, 1).
+
     With `affine`, x cancels and this is half the mean absolute error. With `per_image` it does not cancel.
     """
     wanted, found = (normalise_difference(image - x, normaliser) for image in (y, made))
@@ -70,6 +74,7 @@ def cross_entropy(
     weights: tuple[float, float, float] = (1.0, 1.0, 1.0),
 ) -> Float[Array, ""]:
     """Mean over pixels of −weight · log p(label), divided by the mean weight.
+
     Args:
         logits: Logits (batch, height, width, 3).
         labels: True labels (batch, height, width).

@@ -1,4 +1,5 @@
 """The stride-2 4 × 4 layers as one matrix product each, for CPUs: the faster scheme for thin or tiny maps.
+
 The steps have the same names as those of `winograd`, so that `products` can use either: they pass lists of matrices,
 here lists of one.
 """

@@ -21,6 +21,7 @@ def confusion(
 
 def iou(counts: Int[Array, "truth predicted"]) -> Float[Array, "label"]:
     """Intersection over union (label,), the Jaccard index, from `confusion` (truth, predicted) of all pixels together.
+
     It is 1 for a label that is neither present nor predicted.
     """
     both = jnp.diagonal(counts)

@@ -12,6 +12,7 @@ EPSILON = 1e-5
 
 class BatchNorm(nn.Module):
     """Bring each channel to mean `bias` and standard deviation `scale` (both (channel,)) over batch, height and width.
+
     The mean runs over the complete batch, even if it is spread over devices. Statistics are float32 whatever the type
     of the map.
     """

@@ -1,4 +1,5 @@
 """The objects in a semantic map, as boxes: connected parts of highlight and shadow, the clearest first.
+
 Everything has fixed shapes and runs under jit and vmap. Nothing here has a derivative.
 """
 
@@ -31,6 +32,7 @@ class Objects(NamedTuple):
 
 def find_objects(grey: Float[Array, "range beam"], most: int) -> Objects:
     """Find up to `most` connected parts (8 neighbours) of `grey` (range, beam) that are not background (0.5).
+
     The evidence of an object is the sum over its pixels of the difference between their grey and the background's.
     """
     evidence = jnp.abs(jax.lax.stop_gradient(grey) - 0.5)
@@ -44,6 +46,7 @@ def find_objects(grey: Float[Array, "range beam"], most: int) -> Objects:
 
 def connected_parts(mask: Bool[Array, "range beam"]) -> Int[Array, "range beam"]:
     """Label (range, beam) each connected part of `mask` with a number of 1 or more; 0 outside.
+
     Each pixel takes the largest label around it, and each label is then replaced by the largest that any of its pixels
     has met (Shiloach and Vishkin 1982). A few rounds suffice for any shape.
     """

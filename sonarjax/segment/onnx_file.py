@@ -1,4 +1,5 @@
 """A segmenter's network as an ONNX file, for users without JAX: a 128 × 128 crop in, its semantic map out.
+
 Only the network is exported. Cutting a frame into crops and joining the answers is left to the user (docs/export.md
 shows it in NumPy). The closer look at each object is not exported.
 """
@@ -26,6 +27,7 @@ CLASSES_OUT = "probabilities: float32 (batch, 3, 128, 128) in the order of `labe
 
 def export_onnx(path: str | os.PathLike[str], segmenter: Segmenter) -> None:
     """Write a segmenter's network as an ONNX file, all or nothing; the bytes are the same each time.
+
     The input `image` is (batch, 128, 128) in [0, 1], for any batch size. The output `semantic` is (batch, 128, 128):
     shadow 0, background 0.5, highlight 1. A network with three classes also has the output `probabilities` (batch, 3,
     128, 128) of background, highlight and shadow. The file's metadata repeat this, and hold `tile`, `threshold` and

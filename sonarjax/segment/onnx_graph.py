@@ -1,4 +1,5 @@
 """The generator as a graph of ONNX operators, one node for each layer, which any ONNX runtime can run.
+
 Translating the traced JAX program would be simpler, but jax2onnx 0.17 refuses the histogram of `inputs.ranks` and pins
 an older orbax-checkpoint than training needs. The network has only fifteen layers, so they are written out here. Maps
 are channels-first, as ONNX has them. Operators are those of opset 18 (2022), which onnxruntime 1.14 and later run.
@@ -64,6 +65,7 @@ class Graph:
 
 def add_generator(graph: Graph, module: Generator, variables: Mapping[str, Any], image: str) -> str:
     """Add the network to `graph`.
+
     Args:
         graph: The graph.
         module: The network.

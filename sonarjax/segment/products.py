@@ -1,4 +1,5 @@
 """The stride-2 4 × 4 layers as matrix products, down and up, with their gradients, in one of two schemes.
+
 `winograd` multiplies less, `matmul` moves less data. Both consist of a linear step on the large map (`gather`), one on
 the small map (`split`), one on the kernel (`spread_kernel`), and matrix products. Each layer and each gradient
 multiplies the outputs of two steps, then applies the transpose of the third.

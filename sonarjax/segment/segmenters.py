@@ -44,6 +44,7 @@ class Segmenter:
         engine: Engine = PLAIN,
     ) -> Float[np.ndarray, "range beam"]:  # fmt: skip
         """Semantic map (range, beam) of a frame: shadow 0, background 0.5, highlight 1. A network's doubts lie between.
+
         Args:
             image: Grey frame (range, beam) in [0, 1]. For `none` it is also the result.
             mask: True where the frame was measured (range, beam). Elsewhere the map is background.
@@ -65,6 +66,7 @@ class Segmenter:
 
 def load_segmenter(name: str | os.PathLike[str] = DEFAULT_SEGMENTER) -> Segmenter:
     """Load the segmenter of a name in `SEGMENTERS`, or of a weights file that training wrote.
+
     `help(sonarjax.segment)` says what each name stands for.
 
     Raises:

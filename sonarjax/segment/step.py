@@ -1,4 +1,5 @@
 """One step of training as pure jitted functions of a `GanState`: pix2pix, or cross-entropy with the same U-Net.
+
 A step is two compiled functions, which XLA compiles faster than one. The first computes the gradients: the generated
 maps, the discriminator's update and the generator's gradient. The second updates the generator. Every mean runs over
 the complete batch, so a batch that is sharded over devices gives the same step as on one device.
@@ -69,6 +70,7 @@ class GanConfig:
     """Weight of the adversarial loss in the generator's loss."""
     cross_entropy: float = 0.0
     """Weight of cross-entropy in the generator's loss, in addition to eq. 3; needs the head `classes`.
+
     With the head `tanh` cross-entropy would be 0 for any map, so `Recipe.checked` refuses it.
     """
     class_weights: tuple[float, float, float] = (1.0, 1.0, 1.0)
@@ -164,6 +166,7 @@ def train_step(
     key: Array,
 ) -> tuple[GanState, Losses]:
     """One training step of both networks.
+
     Args:
         state: The state before the step; it is donated.
         x: Images (batch, height, width, 1) in [−1, 1].
@@ -185,6 +188,7 @@ def discriminative_step(
     key: Array,
 ) -> tuple[GanState, Losses]:
     """One training step of the paper's 'discriminative model': the U-Net alone, on class-weighted cross-entropy.
+
     Args:
         state: The state before the step, with the head `classes`; it is donated.
         x: Images (batch, height, width, 1) in [−1, 1].
@@ -207,6 +211,7 @@ def pix2pix_gradients(
     key: Array,
 ) -> Gradients:
     """The gradients of pix2pix. Arguments as in `train_step`, images and maps (batch, height, width, 1).
+
     The generator runs once, with dropout drawn from `key`, and both networks use its maps: first the discriminator is
     updated, then the generator's gradient is taken against the updated one. The losses are `discriminator`,
     `adversarial`, `distance`, and `cross_entropy` if it has a weight.
@@ -250,6 +255,7 @@ def discriminative_gradients(
     key: Array,
 ) -> Gradients:
     """The gradients of the discriminative model; the discriminator stays as it is.
+
     Arguments as in `discriminative_step`: images (batch, height, width, 1) and labels (batch, height, width). The loss
     is `cross_entropy`.
     """

@@ -1,5 +1,6 @@
 """Tiled inference: a frame of any size through a generator that was trained on crops, then a closer look at each
 object.
+
 Tiles have the size of the frames from which training pairs are cut, so a pixel covers as much of the scene as it did in
 training. A closer look is a crop around an object that the tiles show, the main kind of training crop (see
 `data.crops.CROP_SHARES`). The network sees it once as it is and once mirrored, and the two answers are averaged.
@@ -53,6 +54,7 @@ def segment(
     tile: tuple[int, int] = TILE,
 ) -> Float[Array, "range beam"]:
     """Semantic map (range, beam) of a frame, by tiled inference: shadow 0, background 0.5, highlight 1.
+
     A pure function; use `jax.vmap` for a batch of frames.
 
     Args:
@@ -140,6 +142,7 @@ def _after_tiles(state: _Seen, mask: Bool[Array, "range beam"] | None, closer: i
 
 def _paste(state: _Seen, answer: Float[Array, "height width"], box: Box, wanted: Bool[Array, ""]) -> _Seen:
     """Replace the map by a closer look's answer, in the pixels that lie completely inside its box.
+
     Where the closer look is less sure than the map, their mean is used, so that an object that its box cuts off is not
     lost.
     """

@@ -1,4 +1,5 @@
 """A trained generator: saved to a file, loaded (the shipped one by default) and applied to crops.
+
 Arrays are stored under the names of their places in the network (`params.down1.kernel`), kernels in half precision. The
 network's properties (width, head, skips) are derived from the shapes of its arrays, so a file cannot contradict itself.
 """
@@ -46,6 +47,7 @@ def save_generator(
     path: str | os.PathLike[str], variables: Any, about: Mapping[str, Any], storage: Storage = "float16"
 ) -> None:
     """Write a generator to a file, all or nothing.
+
     Args:
         path: The file.
         variables: The generator's variables. Kernels are stored as `storage`, smaller arrays as float32.
@@ -68,6 +70,7 @@ def save_generator(
 
 def load_generator(path: str | os.PathLike[str] | None = None) -> GeneratorWeights:
     """Load a generator that `save_generator` wrote, in float32; without `path`, the one shipped with the package.
+
     The shipped file is not checked against the network: that takes a second, and a test does it.
 
     Raises:
@@ -112,6 +115,7 @@ def _check_arrays(arrays: Mapping[str, np.ndarray], module: Generator, name: str
 
 def shipped_path() -> Path:
     """Path of the weights file that came with the package.
+
     Raises:
         SonarjaxError: There is no such file, or more than one.
     """
@@ -141,6 +145,7 @@ def segment_patch(
     weights: GeneratorWeights, images: Float[Array, "patch height width"], *, engine: Engine = PLAIN
 ) -> Float[Array, "patch height width"]:
     """Semantic maps of `images`, both (patch, height, width) in [0, 1]: shadow 0, background 0.5, highlight 1.
+
     Images are crops or a padded frame; height and width are multiples of 128. There is no dropout: the answer is the
     mean.
 

@@ -1,4 +1,5 @@
 """The stride-2 4 × 4 layers as matrix products with fewer multiplications, for CPUs (Winograd 1980, minimal filtering).
+
 A stride-2 convolution by 4 × 4 is a stride-1 convolution by 2 × 2 on blocks of 2 × 2 pixels. Along one axis, two
 outputs of the latter take three products instead of four: y₀ = d₀g₀ + d₁g₁ = (d₀ − d₁)g₀ + d₁(g₀ + g₁) and y₁ = d₁g₀ +
 d₂g₁ = d₁(g₀ + g₁) + (d₂ − d₁)g₁. Along both axes this leaves nine matrix products over the channels, 9/16 of the work.

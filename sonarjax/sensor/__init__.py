@@ -1,4 +1,5 @@
 """What a real device adds to a rendered frame: propagation, beams, speckle, multipath, gain and eight bits.
+
 `observe` turns a `SonarFrame` into the image (range, beam) that a device described by a `SensorModel` would store. The
 functions that it calls are public and can be used alone. Each names its source, or says that there is none and it is a
 model of ours.

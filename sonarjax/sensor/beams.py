@@ -1,4 +1,5 @@
 """What a beam hears besides its own azimuth: side lobes, crosstalk of firing groups, gains, streaks, other pings.
+
 Mixing matrices (beam, source) act on the rows of an image (range, beam) of mean energy. Each of their rows sums to one.
 """
 
@@ -18,6 +19,7 @@ MINUS_3_DB = 0.8859
 
 def array_pattern(offset: Float[Array, "*batch"], beam_width: Any) -> Float[Array, "*batch"]:
     """One-way power gain (...) of a line array.
+
     sinc² of u = 0.886·sin(offset)/beam_width (`jnp.sinc` supplies the π), with first side lobes at −13.26 dB (Urick,
     Principles of Underwater Sound, 1983, ch. 3).
 
@@ -30,6 +32,7 @@ def array_pattern(offset: Float[Array, "*batch"], beam_width: Any) -> Float[Arra
 
 def beam_mixing(sonar: Sonar, widening: Any = 1.0, ways: Any = 2.0) -> Float[Array, "beam source"]:
     """Matrix (beam, source): the share of a beam's energy that comes from the azimuth of each source. Rows sum to one.
+
     Mean energies add over azimuth, weighted by both patterns, as in reverberation (Urick, Principles of Underwater
     Sound, 1983, ch. 8). Normalised rows, and `ways` between 1 and 2, are choices of ours. Beam spacing may be uneven.
 
@@ -49,6 +52,7 @@ def beam_mixing(sonar: Sonar, widening: Any = 1.0, ways: Any = 2.0) -> Float[Arr
 
 def crosstalk_mixing(n_beams: int, leak: Any, period: Any) -> Float[Array, "beam source"]:
     """Matrix (beam, source) of the leaks between beams of one firing group. Rows sum to one.
+
     Beams are in one group if their numbers differ by a multiple of `period`. The nearest of them get the weight `leak`,
     relative to the beam's own, and half as much for every further period. No source: a model of ours for strong echoes
     that leak into beams fired at the same time. That a DIDSON fires 8 sets of 12 beams, hence a period of 8, is an
@@ -68,6 +72,7 @@ def streaks(
     image: Float[Array, "range beam"], highlight: Float[Array, "range beam"], level: Any
 ) -> Float[Array, "range beam"]:
     """Energy (range, beam) with specular rows smeared over all beams, as a glint does through distant side lobes.
+
     A row gains `level` times its brightest object pixel, scaled by the ratio of that pixel to the brightest of the
     frame, so that only the glint itself makes a visible line. No source: a model of ours for the rows that specular
     faces light up in real ARIS frames.
@@ -83,6 +88,7 @@ def streaks(
 
 def beam_gains(n_beams: int, std_db: Any, *, key: jax.Array) -> Float[Array, "beam"]:
     """Gain (beam,) of each beam's energy: normal in dB around 0 dB, with standard deviation `std_db` [dB].
+
     No source: a model of ours for the differences that remain between a device's channels.
     """
     return 10 ** (jnp.asarray(std_db, jnp.float32) * jax.random.normal(key, (n_beams,)) / 10)
@@ -91,6 +97,7 @@ def beam_gains(n_beams: int, std_db: Any, *, key: jax.Array) -> Float[Array, "be
 def group_gains(n_beams: int, period: Any, std_db: Any, *, key: jax.Array) -> Float[Array, "beam"]:
     """Gain (beam,) of each beam's energy, the same for every `period`-th beam; standard deviation of the groups
     `std_db` [dB].
+
     No source: a model of ours for the comb of bright and dark beams from devices that fire in groups.
     """
     group = jnp.arange(n_beams) % jnp.maximum(jnp.asarray(period), 1.0).astype(jnp.int32)
@@ -100,6 +107,7 @@ def group_gains(n_beams: int, period: Any, std_db: Any, *, key: jax.Array) -> Fl
 
 def dim_beams(n_beams: int, share: Any, loss_db: Any, *, key: jax.Array) -> Float[Array, "beam"]:
     """Gain (beam,) of each beam's energy, where a random `share` [1] of the beams hears `loss_db` [dB] less.
+
     No source: a model of ours.
     """
     dim = jax.random.uniform(key, (n_beams,)) < jnp.asarray(share, jnp.float32)
@@ -108,6 +116,7 @@ def dim_beams(n_beams: int, share: Any, loss_db: Any, *, key: jax.Array) -> Floa
 
 def other_pings(shape: tuple[int, int], level: Any, *, key: jax.Array) -> Float[Array, "range beam"]:
     """Energy (range, beam) of another sonar's pings, heard at two ranges by a few neighbouring beams or by all of them.
+
     `level` is relative to the floor's energy on the beam axis. No source: a model of ours for short bright bars that
     are not echoes.
     """

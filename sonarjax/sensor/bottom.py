@@ -1,4 +1,5 @@
 """How bright the bottom is from place to place: ripples, and slow changes over the frame.
+
 All functions give factors (range, beam) for the energy of the floor, with a mean near 1.
 """
 
@@ -20,6 +21,7 @@ def ripple_brightness(
     sonar: Sonar, ranges: Float[Array, "range"], depth: Any, wavelength: Any, direction: Any
 ) -> Float[Array, "range beam"]:
     """Brightness (range, beam) of a rippled floor: 1 + depth·sin(phase).
+
     Slopes that face the sonar are brighter. To first order, a small slope changes Lambert's law in proportion (Urick,
     Principles of Underwater Sound, 1983, ch. 8). A single wave is a model of ours.
 
@@ -38,6 +40,7 @@ def ripple_brightness(
 
 def slow_brightness(shape: tuple[int, int], std_db: Any, *, key: jax.Array) -> Float[Array, "range beam"]:
     """Brightness (range, beam) that changes slowly over the frame: normal in dB, with standard deviation `std_db` [dB].
+
     No source: a model of ours for uneven insonification and a bottom of several kinds.
     """
     coarse = jax.random.normal(key, WIDE_PATCHES)

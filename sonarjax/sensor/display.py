@@ -16,6 +16,7 @@ def compress(
     saturation: Any = 0.0, black: Any = 0.0,
 ) -> Float[Array, "*batch"]:  # fmt: skip
     """Grey value (...) in [0, 1] of each `energy` (...).
+
     Blends two curves that meet at white: a logarithm, and a power law. ARIS files store the logarithm over 80 dB (see
     `io.aris`). The power law with exponent 0.25 is about what an Oculus stores, as measured on real pings. No source
     for the blend: a model of ours that covers the devices in between.
@@ -43,6 +44,7 @@ def compress(
 @jax.custom_jvp
 def quantise(image: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
     """Round `image` (...) in [0, 1] to the nearest of the 256 values n/255. The derivative is defined as 1.
+
     ARIS, DIDSON and Oculus files store eight bits (see `io`). No source for the derivative: a choice of ours.
     """
     return jnp.round(255 * image) / 255

@@ -16,6 +16,7 @@ Scalar = Any
 @record
 class SensorModel:
     """How a device turns energy into an image. Every field is a float, or an array of one batch shape for `jax.vmap`.
+
     Choices are floats too, so that one compiled `observe` serves a family of devices. Energies are relative to the
     floor's energy on the beam axis. The defaults are `nominal()`: a DIDSON in the paper's tank.
     """
@@ -53,6 +54,7 @@ class SensorModel:
     speckle: Scalar = 1.0
     """Speckle contrast of one look [1]: standard deviation of intensity over its mean, up to 1 for fully developed
     speckle.
+
     Above 1 the values in dB spread by that factor: Weibull's law, with heavier tails than Rayleigh's.
     """
     looks: Scalar = 1.0
@@ -115,6 +117,7 @@ class SensorModel:
     @classmethod
     def nominal(cls, severity: Scalar = 1.0) -> SensorModel:
         """A DIDSON in a tank; `severity` 0 has no noise, 1 is as hard as the paper's frames, 2 has twice the noise.
+
         `experiments/calibrate_sensor.py` fitted the constants, to the paper's correlations only.
         """
         return cls().scaled(severity)
@@ -136,6 +139,7 @@ class SensorModel:
     @classmethod
     def draw_wide(cls, *, key: jax.Array, severity: Scalar = 1.0) -> SensorModel:
         """Draw a device and a place from wider ranges, with rarer effects: the network trains on these.
+
         As `draw`, with the fields of `WIDE` drawn from there. Each field of `SELDOM` is present in its share of the
         draws only.
         """

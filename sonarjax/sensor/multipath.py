@@ -23,6 +23,7 @@ WIDE_APERTURE = 2.4
 
 def bounce_points(points: Float[Array, "point 3"], sonar: Sonar, plane: Any, path: Any) -> Float[Array, "point 3"]:
     """Where points appear to be when heard by way of a mirror in the plane z = `plane`.
+
     The direction is that of the mirror image. The range is (1 − path)·direct + path·image (the image method: Urick,
     Principles of Underwater Sound, 1983, ch. 5).
 
@@ -44,6 +45,7 @@ def bounce_points(points: Float[Array, "point 3"], sonar: Sonar, plane: Any, pat
 
 def bounce_mesh(mesh: Mesh, pose: Pose, sonar: Sonar, plane: Any, path: Any) -> Mesh:
     """Mirror the mesh at `pose` in z = `plane` [m] as `bounce_points` does; the result is in the ground frame.
+
     Faces still look outwards. Faces that lie on the mirror are dropped, because no sound gets between. The image method
     (Urick, 1983, ch. 5).
     """
@@ -63,6 +65,7 @@ def render_bounces(
 ) -> SonarFrame:
     """Render the echoes (range, beam) that arrive by way of floor and water surface, times the model's bounce
     coefficients.
+
     The frame's highlight says where they are. It has no shadow and no floor. An object that stands on the mirror hides
     the face between; otherwise what the object hides of its own mirror image is ignored. The image method (Urick, 1983,
     ch. 5) with one bounce each; one loss for all angles is a simplification of ours.

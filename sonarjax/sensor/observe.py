@@ -62,6 +62,7 @@ def observe(
     bounces: SonarFrame | None = None,
 ) -> Float[Array, "range beam"]:
     """Turn a rendered frame into the grey image (range, beam) that a device stores: 256 values in [0, 1].
+
     If the frame was rendered with the sonar's own aperture, the vertical pattern ends sharply there. `observe_scene`
     renders beyond it, so that the image fades. Works under `jit` and `vmap` over keys, models, frames and sonars.
     Differentiable, except that the derivative of the quantisation is defined as 1. No source for the order of effects:
@@ -99,6 +100,7 @@ def received_energy(
     frame: SonarFrame, model: SensorModel, bounces: SonarFrame | None = None
 ) -> Float[Array, "range beam"]:
     """Mean energy (range, beam) after propagation, beams, pulse and gain, relative to the floor on the beam axis.
+
     Nothing in it is random: `observe` multiplies it by speckle. The vertical pattern is taken at the floor's elevation
     in each pixel, for objects too; bounces come from other angles and are left without it. The terms are those of the
     sonar equation (Urick, Principles of Underwater Sound, 1983, ch. 2), on top of eq. 2. Models of ours: one
@@ -129,6 +131,7 @@ def received_energy(
 
 def speckle(sonar: Sonar, model: SensorModel, *, key: jax.Array) -> Float[Array, "range beam"]:
     """Draw speckle intensity (range, beam) of mean 1 with the model's contrast, looks and correlation.
+
     No source for the order of the steps: each of them, from `complex_field` to `multi_look`, has its own.
     """
     contrast = jnp.clip(jnp.asarray(model.speckle, jnp.float32), 0.0, 1.0)
@@ -149,6 +152,7 @@ def observe_scene(
     quality: RenderQuality = RenderQuality(),
 ) -> tuple[Float[Array, "range beam"], SonarFrame]:
     """Render objects on the floor with their multipath, and observe them (eq. 1–2, `render_bounces`, `observe`).
+
     Arguments as in `render` and `observe`.
 
     Returns:

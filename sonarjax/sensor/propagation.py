@@ -1,4 +1,5 @@
 """What range does to an echo: absorption, the device's time-varied gain, the elevation pattern, the pulse, the noise.
+
 All functions take slant ranges [m] or an image (range, beam) of mean energy, and return factors or an image.
 """
 
@@ -25,6 +26,7 @@ ARCSIN = (
 
 def fresh_absorption(frequency: Any, temperature: Any) -> Float[Array, "*batch"]:
     """One-way absorption [dB/m] in fresh water at `frequency` [Hz] and `temperature` [deg C], at most 20 °C.
+
     The viscous term A₃f² of Francois and Garrison (J. Acoust. Soc. Am. 72, 1982, part II), the only one without salts.
     """
     t = jnp.asarray(temperature, jnp.float32)
@@ -34,6 +36,7 @@ def fresh_absorption(frequency: Any, temperature: Any) -> Float[Array, "*batch"]
 
 def absorption_loss(ranges: Float[Array, "*batch"], absorption: Any) -> Float[Array, "*batch"]:
     """Share of the energy left after two-way `absorption` [dB/m] of an echo at `ranges` (...) [m].
+
     Urick, Principles of Underwater Sound (1983), ch. 5.
     """
     return 10 ** (-0.2 * jnp.asarray(absorption, jnp.float32) * ranges)
@@ -44,6 +47,7 @@ def time_varied_gain(
 ) -> Float[Array, "*batch"]:
     """Gain of an echo's energy: (r/reference)^exponent, and compensation for two-way absorption. It is 1 at
     `reference`.
+
     An exponent of 4 is '40 log r', for points. An exponent of 3 is '30 log r', for surfaces, whose echoing area grows
     with range (Urick, 1983, ch. 8).
 
@@ -60,6 +64,7 @@ def time_varied_gain(
 def elevation_gain(offset: Float[Array, "*batch"], aperture: Any, skirt: Any) -> Float[Array, "*batch"]:
     """Two-way gain (...) at an elevation `offset` (...) [rad] from the beam axis: flat, then −3 dB at half the
     `aperture` [rad].
+
     Beyond it the gain falls by `skirt` [dB per degree]. No source for the curve: a logistic curve in dB, a model of
     ours for a lens, which has a flat top and steep skirts instead of a line array's sinc². Skirts of 10 to 14 are those
     of a public fit to an ARIS 3000, whose author is not on record.
@@ -71,6 +76,7 @@ def elevation_gain(offset: Float[Array, "*batch"], aperture: Any, skirt: Any) ->
 def with_skirts(sonar: Sonar) -> Sonar:
     """The sonar with `SKIRT` more aperture above and below: `observe_scene` renders it before it applies
     `elevation_gain`.
+
     A template ends sharply at the aperture, but an image fades out there. No source: a choice of ours.
     """
     return sonar.replace(elevation_aperture=sonar.elevation_aperture + 2 * SKIRT)
@@ -78,6 +84,7 @@ def with_skirts(sonar: Sonar) -> Sonar:
 
 def floor_elevation(sonar: Sonar) -> Float[Array, "range beam"]:
     """Elevation [rad] in the sonar frame of the floor that each pixel (range, beam) shows; roll is ignored.
+
     From r·(sin φ cos T − cos φ cos θ sin T) = −height. Straight down where the range is less than the height. No
     source: plane geometry in the package's frames.
     """
@@ -103,6 +110,7 @@ def range_middles(sonar: Sonar) -> Float[Array, "range"]:
 
 def reference_range(sonar: Sonar) -> Float[Array, ""]:
     """Slant range [m] at which the beam axis meets the floor, limited to between 1.05 and 6 heights.
+
     It depends on the sonar's height and tilt only, not on the window, so a crop of a frame is processed as the frame
     is. No source: a choice of ours.
     """
@@ -120,6 +128,7 @@ def reference_energy(sonar: Sonar) -> Float[Array, ""]:
 def pulse_blur(image: Float[Array, "range beam"], pulse_bins: Any) -> Float[Array, "range beam"]:
     """Spread energy (range, beam) evenly over a pulse of `pulse_bins` range bins, 1 to 9; a pulse of one bin changes
     nothing.
+
     At any moment a pulse of duration τ echoes from cτ/2 of range (Urick, 1983, ch. 8); its envelope is taken as a box.
     The weights sum to one. Energy from beyond the window is taken to equal that of the outermost bins.
     """
@@ -136,6 +145,7 @@ def pulse_blur(image: Float[Array, "range beam"], pulse_bins: Any) -> Float[Arra
 
 def noise_floor(ranges: Float[Array, "*batch"], level: Any, range_max: Any) -> Float[Array, "*batch"]:
     """Mean energy (...) of the receiver's noise after its gain: level·(r/range_max)² at `ranges` (...) [m].
+
     `level` is the noise energy at `range_max` [m]. The noise in the sonar equation does not depend on range (Urick,
     1983, ch. 2); a gain of 20 log r makes it grow so. No source for that gain: a model of ours, independent of the
     time-varied gain of the echoes.
@@ -147,6 +157,7 @@ def late_reverberation(
     image: Float[Array, "range beam"], share: Any, length: Any, range_bin: Any
 ) -> Float[Array, "range beam"]:
     """Energy (range, beam) that arrives late by way of floor, walls and object: an exponential tail along range.
+
     It fills shadows from their near end. Reverberation decays exponentially in a closed basin (Kuttruff, Room
     Acoustics, 2009, ch. 5); one share and one length for a frame are models of ours.
 

@@ -1,4 +1,5 @@
 """Speckle: complex Gaussian fields, their correlation, and distributions narrower or wider than Rayleigh's.
+
 Fields are (part, range, beam), real part first, with a mean intensity of 1. Intensities are (range, beam), mean 1.
 """
 
@@ -21,6 +22,7 @@ PATCH = (16, 4)
 
 def complex_field(shape: tuple[int, int], *, key: jax.Array) -> Float[Array, "part range beam"]:
     """Draw a white circular Gaussian field (part, range, beam) with E|g|² = 1; its amplitude is Rayleigh.
+
     It is the sum of many scatterers within one resolution cell (Goodman, Speckle Phenomena in Optics, 2007, ch. 2).
     """
     field = jax.random.normal(key, (2, *shape)) * 0.5**0.5
@@ -29,6 +31,7 @@ def complex_field(shape: tuple[int, int], *, key: jax.Array) -> Float[Array, "pa
 
 def azimuth_kernel(sonar: Sonar, reach: Any) -> Float[Array, "beam source"]:
     """Matrix (beam, source) that correlates a white field over azimuth; its rows have unit energy.
+
     Gaussian in the difference of azimuth, of width `reach` in mean beam spacings. The autocorrelation of the intensity
     at a lag of n spacings is exp(−n²/(2 reach²)), to 2 % for a reach above 0.8; for example 0.60 at one beam for 0.99.
     It is the square of the field's autocorrelation (Siegert's relation for circular Gaussian fields). No source for the
@@ -43,6 +46,7 @@ def azimuth_kernel(sonar: Sonar, reach: Any) -> Float[Array, "beam source"]:
 
 def range_kernel(correlation: Any) -> Float[Array, "3"]:
     """Three weights (3) along range, of unit energy, that give a white field's *intensity* this `correlation`.
+
     `correlation`, 0 to 0.5, is that of intensity between neighbouring bins: the square of the field's, as in
     `azimuth_kernel`. No source for the three weights: a model of ours.
     """
@@ -57,6 +61,7 @@ def correlate(
     along: Float[Array, "3"],
 ) -> Float[Array, "part range beam"]:
     """Correlate a white field (part, range, beam) by `azimuth_kernel` (beam, source) and `range_kernel` (3).
+
     No source: both are linear filters, so a Gaussian field stays Gaussian. Applying one after the other is a model of
     ours.
     """
@@ -69,6 +74,7 @@ def correlate(
 
 def speckle_intensity(field: Float[Array, "part range beam"], diffuse: Any = 1.0) -> Float[Array, "range beam"]:
     """Intensity (range, beam), mean 1, of a field (part, range, beam) added to a steady echo: Rice's distribution.
+
     `diffuse` is the share of the energy that scatters at random: 1 gives exponential intensity (Rayleigh amplitude), 0
     gives exactly 1. The variance is 1 − (1 − diffuse)² (Rice, Bell Syst. Tech. J. 24, 1945).
     """
@@ -80,6 +86,7 @@ def speckle_intensity(field: Float[Array, "part range beam"], diffuse: Any = 1.0
 def heavy_tails(intensity: Float[Array, "range beam"], power: Any) -> Float[Array, "range beam"]:
     """Raise `intensity` (range, beam) to `power` and scale it to mean 1: exponential intensity becomes Weibull, shape
     1/power.
+
     The standard deviation in dB is `power` times Rayleigh's 5.57 dB. The amplitude's law has the shape 2/power; on the
     bottom of real Oculus frames that is 1.7. Weibull clutter: Sekine and Mao, Weibull Radar Clutter (1990).
     """
@@ -93,6 +100,7 @@ def _safe_sqrt(value: Array) -> Array:
 
 def multi_look(intensity: Float[Array, "range beam"], looks: Any) -> Float[Array, "range beam"]:
     """Mean (range, beam) of `looks` independent speckles of mean 1, 1 to 4: Gamma(L, 1/L) for whole numbers.
+
     The further looks are the same `intensity` (range, beam) shifted by large parts of the image, which needs no further
     random numbers; pixels that are one shift apart share a look. For a fractional number the last look has less weight,
     so that the variance is 1/looks times that of one look (Oliver and Quegan, Understanding Synthetic Aperture Radar
@@ -120,6 +128,7 @@ def look_weights(looks: Any) -> Float[Array, "look"]:
 
 def gamma_texture(shape: tuple[int, int], variance: Any, *, key: jax.Array) -> Float[Array, "range beam"]:
     """Draw the mean energy (range, beam) of a patchy bottom: Gamma of mean 1 and `variance`, smooth between patches.
+
     Speckle times this is K-distributed with shape 1/variance (Jakeman and Pusey, IEEE Trans. Antennas Propag. 24,
     1976): the second moment of intensity is 2·(1 + variance). `gamma_of_normal` makes Gamma from Gaussian numbers.
     """
@@ -128,6 +137,7 @@ def gamma_texture(shape: tuple[int, int], variance: Any, *, key: jax.Array) -> F
 
 def gamma_of_normal(normal: Float[Array, "*batch"], variance: Any) -> Float[Array, "*batch"]:
     """Turn standard normal numbers `normal` (...) into Gamma numbers (...) of mean 1 and `variance`, monotonically.
+
     The cube of Wilson and Hilferty (Proc. Natl. Acad. Sci. 17, 1931), accurate for a variance up to 1.
     """
     ninth = jnp.asarray(variance, jnp.float32) / 9
@@ -136,6 +146,7 @@ def gamma_of_normal(normal: Float[Array, "*batch"], variance: Any) -> Float[Arra
 
 def patchy_normal(shape: tuple[int, int], *, key: jax.Array) -> Float[Array, "range beam"]:
     """Draw a standard normal field (range, beam) that is interpolated between patches of the size `PATCH`.
+
     No source: a model of ours for how an uneven bottom varies.
     """
     coarse = jax.random.normal(key, (shape[0] // PATCH[0] + 2, shape[1] // PATCH[1] + 2))

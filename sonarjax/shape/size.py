@@ -1,4 +1,5 @@
 """`fit_size`: the extents of an object from a few frames of it (beyond the paper).
+
 This is the joint fit of `sonarjax.calibrate`, with the object's extents in place of the sonar's geometry.
 """
 
@@ -71,6 +72,7 @@ def fit_size(
     progress: Callable[[str], None] = lambda text: None,
 ) -> SizeEstimate:
     """Fit the length, width and height of an object of known shape to frames of it.
+
     Minimises the robust squared difference between the frames and what the sonar would store of the object on a lit
     floor, jointly over the free extents, the device's look and each frame's yaw, x and y, by Levenberg–Marquardt with
     the poses eliminated (Triggs et al., Bundle Adjustment, 2000). This assumes a flat floor, a known sonar and an
@@ -123,6 +125,7 @@ def fit_size(
 
 def starts_of(poses: Pose, count: int, sonar: Sonar) -> list[Pose]:
     """Split the poses (frame,) into one for each frame.
+
     Raises:
         SonarjaxError: There are not `count` poses, or the object is out of view at one of them.
     """

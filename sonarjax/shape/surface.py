@@ -1,4 +1,5 @@
 """`fit_surface`: all vertices of a smooth body from frames at known poses (beyond the paper).
+
 Adam lowers 1 − NCC between the rendered echo and each frame, with the gradient by every vertex. Steps are smoothed by
 (I + λL)⁻¹, where L is the mesh's Laplacian, so that neighbours move together (Nicolet, Jacobson and Jakob, Large Steps
 in Inverse Rendering of Geometry, ACM Trans. Graph. 40, 2021). A prior keeps the displacement smooth.
@@ -102,6 +103,7 @@ def fit_surface(
     progress: Callable[[str], None] = lambda text: None,
 ) -> SurfaceEstimate:
     """Fit the surface of a smooth body to frames of it at known poses.
+
     This assumes a flat floor, a known sonar, and a body without sharp edges that stays above the floor (z ≥ 0 in the
     mesh's frame). Parts that no frame shows are bent smoothly along with the parts that frames show.
 
@@ -189,6 +191,7 @@ def _descend(
 
 def uniform_laplacian(faces: np.ndarray, count: int) -> Float[np.ndarray, "vertex vertex"]:
     """The mesh's Laplacian (vertex, vertex) with equal weights: each vertex minus the mean of its neighbours.
+
     Vertices without a triangle, such as padding, have a row of zeros.
     """
     near = np.zeros((count, count))

@@ -1,4 +1,5 @@
 """The check that every sonar from a preset or a file must pass: finite numbers that a device can have.
+
 Traced values (under jit, grad or vmap) are skipped, because their numbers are not known.
 """
 
@@ -72,6 +73,7 @@ _STD_RULES = tuple(
 
 def check_sonar(sonar: S, source: str, names: Mapping[str, str] | None = None) -> S:
     """Return `sonar` unchanged if every value is possible; `source` and `names` (field -> key) appear in messages.
+
     Traced values are not checked.
 
     Raises:

@@ -21,6 +21,7 @@ from sonarjax.sonar.toml import KEYS, check_beams, table_fields, write_sonar
 @record
 class Sonar:
     """An imaging sonar at (0, 0, height), tilted down by `tilt`; a pytree, differentiable in every float.
+
     Its images have shape (range, beam): rows from near to far, columns in ascending azimuth (column 0 is
     starboard-most).
     """
@@ -65,6 +66,7 @@ class Sonar:
     @classmethod
     def preset(cls, name: str, **overrides: Any) -> Sonar:
         """Make a device by name, with some fields replaced.
+
         Args:
             name: A name in `sonarjax.sonar.PRESETS`.
             overrides: Values for fields of `Sonar`, in metres and radians.
@@ -81,6 +83,7 @@ class Sonar:
     @classmethod
     def from_toml(cls, path: str | Path) -> Sonar:
         """Read a `sonar.toml`, in which angles are in degrees where the key says `_deg`.
+
         Raises:
             SonarjaxError: A key is unknown or missing, or a value is impossible. The message names the file and the
                 key.
@@ -89,6 +92,7 @@ class Sonar:
 
     def to_toml(self, path: str | Path) -> None:
         """Write a `sonar.toml` that `from_toml` reads back as the same sonar.
+
         Raises:
             SonarjaxError: A value is impossible, traced or batched, or the file cannot be written.
         """
@@ -121,6 +125,7 @@ class Sonar:
     @property
     def azimuth_edges(self) -> Float[Array, "edge"]:
         """Edges (edge,) of the beams [rad], one more than there are beams.
+
         Inner edges lie midway between beam centres. An outer edge is as far from its centre as that beam's inner edge.
         """
         return beam_edges(self.azimuth, self.beam_width)
@@ -128,6 +133,7 @@ class Sonar:
 
 def sonar_from_dict(table: Mapping[str, Any], source: str) -> Sonar:
     """Make a sonar from a parsed `sonar.toml`.
+
     If `n_beams` or `field_of_view_deg` differs from the preset's, the beams are evenly spaced; if only one of the two
     is given, the other is the preset's.
 

@@ -30,6 +30,7 @@ WINDOW_M = (1.5, 4.0)
 
 def even_beams(n_beams: int, field_of_view: float) -> Float64[np.ndarray, "beam"]:
     """Centres (beam,) of equally wide beams whose outer edges span `field_of_view`, in the unit of that argument.
+
     >>> even_beams(4, 20.0).tolist()
     [-7.5, -2.5, 2.5, 7.5]
     """

@@ -1,4 +1,5 @@
 """`sonar.toml`: a `Sonar` as a text file, in metres, and in degrees where the key says `_deg`.
+
 Reading checks every key, type and value, and raises one clear `SonarjaxError`. A written file reads back as the same
 sonar. For a missing key the preset's value is used, or the default of `Sonar`.
 """
@@ -86,6 +87,7 @@ def table_fields(table: Mapping[str, Any], source: str) -> dict[str, Any]:
 
 def write_sonar(sonar: Any, path: str | Path) -> None:
     """Write the fields of a `Sonar` to a `sonar.toml` in one step; it reads back as the same sonar.
+
     Raises:
         SonarjaxError: A value is impossible, traced or batched, or the file cannot be written.
     """

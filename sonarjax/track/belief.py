@@ -1,4 +1,5 @@
 """The belief over an object's pose and rate: a mixture of Gaussians with circular yaw, and its update by one frame.
+
 Each Gaussian follows one way to explain the frames: which hypothesis of each frame was right, or none (Reid, An
 Algorithm for Tracking Multiple Targets, IEEE Trans. Automatic Control 24, 1979). Within one explanation this is a
 Kalman filter. Besides yaw, x, y and rate, its state holds the errors that all frames of one view share, so that a
@@ -125,6 +126,7 @@ def nothing_known(config: TrackConfig) -> Belief:
 def step(belief: Belief, measurement: Measurement, numbers: Numbers) -> Belief:
     """Update the belief by one more frame: predict it over `elapsed`, to the sonar's present pose, then apply the
     measurement.
+
     The yaw of every component stays in [0, 2π). If all hypotheses of `measurement` have weight -inf, the belief is only
     predicted.
     """
@@ -176,6 +178,7 @@ def step(belief: Belief, measurement: Measurement, numbers: Numbers) -> Belief:
 
 def _alike(density: Array, log_weight: Array, measurement: Measurement, numbers: Numbers) -> Array:
     """Log-likelihood of a frame's hypotheses if none is right, relative to their lying anywhere.
+
     Some wrong hypotheses lie where earlier wrong ones did: at other yaws at which the object looks much the same. If
     all were assumed to lie anywhere, two such hypotheses in a row would outweigh any belief.
     """

@@ -41,6 +41,7 @@ class Mode:
     """Covariance (state, state) of yaw, x, y and rate."""
     yaw_std: float
     """Half of the interval around `yaw` that holds 68 % of this mode [rad], as a normal standard deviation does.
+
     Because of the tails, the square root of the covariance's entry is larger.
     """
     probability: float
@@ -51,6 +52,7 @@ def measurement_of(
     found: Recognition | None, yaw_bins: int, config: TrackConfig, sonar: np.ndarray, elapsed: float
 ) -> Measurement:
     """The hypotheses of a recognition as a measurement; None for a frame that could not be recognized.
+
     Each hypothesis is entered with two errors: that of its error bar, and the larger one of the tails. `sonar` (3,) is
     the sonar's pose: x, y [m], yaw [rad]. `elapsed` is the time since the previous frame [frames].
     """
@@ -78,6 +80,7 @@ def measurement_of(
 
 def probability(found: Recognition) -> float:
     """Probability that a frame shows the target [1]: from the score if a rule made it, else from the threshold alone.
+
     A threshold other than one half is read as the score at which the odds are even: a user who lowers it knows that the
     target is present more often than in the rule's validation frames.
     """

@@ -25,6 +25,7 @@ class Standing:
 @dataclass(frozen=True)
 class Turning:
     """An object that turns at a slowly changing rate: yaw grows by the rate, and the rate is a random walk.
+
     Rates are per frame, or per unit of the times that are given with the frames.
     """
 
@@ -55,6 +56,7 @@ class TrackConfig:
     """Difference in score that makes a hypothesis e times less likely [NCC]."""
     memory: float = 8.0
     """Number of frames over which evidence for one hypothesis against another accumulates; older evidence fades.
+
     Errors of neighbouring frames are alike. Hundreds of frames that slightly prefer one of two equal hypotheses must
     therefore not decide, and a belief that was right for hundreds of frames must still be able to change.
     """

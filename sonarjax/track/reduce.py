@@ -34,6 +34,7 @@ def wrapped(angle: Array) -> Array:
 
 def reduced(mixture: Mixture, count: int, merge: Array) -> Mixture:
     """Reduce to `count` components: repeatedly merge the heaviest with all within `merge` of its standard deviations.
+
     Merging keeps mean and covariance (Salmond, Mixture Reduction Algorithms for Target Tracking in Clutter, 1990).
     Components that lie far apart, or that differ much in certainty, are not merged. The first number is yaw, which is
     circular.

@@ -85,6 +85,7 @@ class Tracker:
         threshold: float | None = None, expect: bool = True,
     ) -> None:  # fmt: skip
         """Start without any knowledge.
+
         Args:
             recognizer: A recognizer of one target.
             motion: How the object may move between frames.
@@ -110,6 +111,7 @@ class Tracker:
         self, image: Any, mask: Any = None, *, sonar_pose: Pose | None = None, elapsed: float = 1.0
     ) -> Tracked:
         """Update the belief by one more frame.
+
         A frame that cannot be recognized raises nothing: the belief is predicted, and `error` says why.
 
         Args:
@@ -135,6 +137,7 @@ class Tracker:
         self, image: Any, mask: Any = None, *, sonar_pose: Pose | None = None, elapsed: float = 1.0
     ) -> Recognition:
         """What one frame (range, beam) alone says, refined from the predicted poses too. The belief stays as it is.
+
         Raises:
             SonarjaxError: As a `Recognizer`.
         """
@@ -189,6 +192,7 @@ def track(
     expect: bool = True,
 ) -> Track:
     """Track a target over a sequence of frames: a belief over its pose after each of them.
+
     This assumes one object, and a sonar whose geometry is right: only `TrackConfig.floor` allows for errors that all
     frames share.
 

@@ -1,4 +1,5 @@
 """Smooth the beliefs of a log: update each frame's belief by the later frames, which the filter did not know.
+
 Each component of the last belief has a history: the chain of components that it continues. Along it the states are
 smoothed backwards (Rauch, Tung and Striebel, Maximum Likelihood Estimates of Linear Dynamic Systems, AIAA Journal 3,
 1965). The weight of a history at a frame is what the filter gave it there plus what the later frames add, which fades
@@ -26,6 +27,7 @@ LEAST_VARIANCE = 1e-10
 @jax.jit
 def run_smoother(beliefs: Belief, numbers: Numbers) -> Belief:
     """Smooth the beliefs (frame, component) of a filter: afterwards each component is one complete history.
+
     Histories that the filter dropped are lost. `parent` and `gain` lose their meaning.
     """
     last = jax.tree.map(lambda v: v[-1], beliefs)

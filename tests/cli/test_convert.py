@@ -151,6 +151,7 @@ def test_frame_of_the_right_shape_is_recognized(command, place, fan, tmp_path, s
         (("own.npz", *SECTOR, "--out", "p.png"), 2, "own.npz: --opening-deg: expected none, the file says it"),
         (("missing.png", *SECTOR, "--out", "p.npz"), 1, "missing.png: no such file"),
         (("broken.png", *SECTOR, "--out", "p.npz"), 1, "broken.png: expected a PNG"),
+        (("own.npz", "a.npy", "--out", "p.png"), 2, "--out: 'p.png' holds one frame: expected one FILE, got 2"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_converted(complaint, fan, tmp_path, monkeypatch, arguments, code, words):
@@ -163,3 +164,22 @@ def test_what_cannot_be_converted(complaint, fan, tmp_path, monkeypatch, argumen
     given = [os.path.relpath(fan) if argument == "FAN" else argument for argument in arguments]
     assert words in complaint(code, "convert", *given)
     assert set(os.listdir()) == before
+
+
+@pytest.mark.parametrize("ending", ["bag", "mcap"])
+def test_frames_become_one_log(command, complaint, tmp_path, ending):
+    pytest.importorskip("rosbags")
+    rng = np.random.default_rng(0)
+    images = rng.integers(0, 256, (3, 4, 3), np.uint8)
+    names, axes = [], {"azimuth_deg": np.array([-1.0, 0.0, 1.0]), "range_edges_m": np.linspace(1, 2, 5)}
+    for number, image in enumerate(images):
+        names.append(tmp_path / f"{number}.npz")
+        np.savez(names[-1], image=image, **axes)
+    out = tmp_path / f"log.{ending}"
+    assert command("convert", *names, "--out", out) == (0, f"{out}: 3 frames\n", "")
+    frames = read_frames(str(out))
+    np.testing.assert_allclose([frame.image for frame in frames], images / 255, atol=1e-4)
+    assert "n_frames      3\n" in command("info", out)[1]
+    write_png(tmp_path / "grey.png", images[0])
+    said = complaint(2, "convert", names[0], tmp_path / "grey.png", "--out", tmp_path / f"b.{ending}")
+    assert "grey.png" in said and not (tmp_path / f"b.{ending}").exists()

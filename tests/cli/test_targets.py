@@ -25,7 +25,8 @@ def test_several_targets_are_told_apart(command, meshes, place, rendered, tmp_pa
     (record,) = [json.loads(line) for line in out.read_text().splitlines()]
     assert (code, stdout) == (0, ""), record
     assert (record["target"], record["runner_up"]) == ("brick", "post")
-    assert record["margin"] > 0
+    assert 0 < record["margin"] <= 1
+    assert (record["schema"], record["converged"]) == (2, True)
     assert record["x_m"] == pytest.approx(2.2, abs=0.05)
 
 

@@ -1,4 +1,5 @@
 """Batch k of a run as a pure function of the recipe and k, whatever was made before. Resuming relies on this.
+
 Pairs are made one set at a time. Another thread makes the next set while the networks train on this one.
 """
 
@@ -93,6 +94,7 @@ def _make_set(recipe: Recipe, number: int, over: threading.Event, engine: Engine
 
 def validation_set(recipe: Recipe, engine: Engine = PLAIN) -> Stored:
     """The validation pairs of a run: those of the validation split, or the last ones of the recipe's folder.
+
     Raises:
         SonarjaxError: The folder cannot be used.
     """

@@ -50,6 +50,7 @@ class Checkpoints:
 
     def restore(self, like: GanState, sharding: NamedSharding) -> GanState:
         """Read the newest state, in the shapes of `like`, placed by `sharding`.
+
         Raises:
             SonarjaxError: It cannot be read, or is of other networks.
         """

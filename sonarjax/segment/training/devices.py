@@ -1,4 +1,5 @@
 """One training step on all devices of all processes, with the same losses as on one device.
+
 The batch is split over the devices, and each device has a copy of the networks. To use several processes, start each
 with `SONARJAX_COORDINATOR=host:port`, `SONARJAX_PROCESSES` and `SONARJAX_PROCESS` (counted from 0), or call
 `jax.distributed.initialize` before anything else. All of them must see the same run directory.
@@ -27,6 +28,7 @@ COORDINATOR, PROCESSES, PROCESS = "SONARJAX_COORDINATOR", "SONARJAX_PROCESSES", 
 
 def join_processes() -> None:
     """Join the other processes, if the environment names a coordinator and JAX has not joined them already.
+
     Raises:
         SonarjaxError: The numbers in the environment cannot be used, or the coordinator does not answer.
     """
@@ -45,6 +47,7 @@ def join_processes() -> None:
 
 def device_mesh(batch: int) -> Mesh:
     """A row of all devices; in a single process, as many of them as divide the batch evenly.
+
     Raises:
         SonarjaxError: Several processes cannot share the batch evenly.
     """

@@ -36,6 +36,7 @@ def predict_all(config: GanConfig, weights: Any, pairs: Stored) -> np.ndarray:
 
 def score(grey: np.ndarray, pairs: Stored) -> dict[str, float]:
     """Metrics of predicted maps `grey` (pair, 128, 128), by name.
+
     `iou_*` compares labels over all pixels of all pairs. `psnr_db` compares the map with the true semantic map,
     `psnr_raw_db` the raw image with it, and `psnr_gain_db` is their difference. PSNR is averaged over the pairs that
     show an object, because an empty map that is predicted correctly has no error at all; if no pair shows an object,

@@ -1,4 +1,5 @@
 """`train`: follow a recipe from its first step, or from the last checkpoint, to weights that can be shipped.
+
 A run is a pure function of its recipe: the state after k steps does not depend on how often it was interrupted.
 """
 
@@ -63,6 +64,7 @@ def train(
     preset: str | Recipe, run_dir: str | os.PathLike[str], resume: bool = False, *, engine: Engine = PLAIN
 ) -> TrainResult:
     """Train the networks of a recipe, and leave checkpoints, records and weights in `run_dir`.
+
     Runs on all devices and, if set up as in `devices`, on all processes. Ctrl-C or SIGTERM ends the run after the
     current step, with a checkpoint. On a CPU, `sonarjax.cpu.keep_memory()` before the first step saves a third of the
     time.

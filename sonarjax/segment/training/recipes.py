@@ -140,6 +140,7 @@ PRESETS["paper"] = replace(PRESETS["paper-cpu"], name="paper", networks=GanConfi
 
 def find_recipe(preset: str | Recipe) -> Recipe:
     """Find a recipe by its name, or take one as it is.
+
     Raises:
         SonarjaxError: The name is unknown, or the recipe cannot be followed.
     """

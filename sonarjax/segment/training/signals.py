@@ -12,6 +12,7 @@ CAUGHT = (signal.SIGINT, signal.SIGTERM)
 
 class StopWish:
     """A context manager that notes the first signal; a second signal has its usual effect.
+
     Outside the main thread Python allows no signal handlers, so nothing is noted.
     """
 

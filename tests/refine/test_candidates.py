@@ -1,0 +1,44 @@
+"""Candidates: how their evidence is compared, against closed forms, and the windows that they share."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+import sonarjax as sj
+from sonarjax.refine import COMPARISON, MAP_REFINEMENT, compared, plan_refinement, plan_shared
+from sonarjax.scene.objects import box
+
+SONAR = sj.Sonar.preset("didson-hf", tilt=math.radians(20), height=0.9)
+
+
+def evidence(**more: float) -> dict[str, float]:
+    return dict.fromkeys(COMPARISON, 0.5) | more
+
+
+def looks(*names: str) -> list[Any]:
+    return [SimpleNamespace(name=name) for name in names]
+
+
+def test_probabilities_are_those_of_the_weighed_evidence() -> None:
+    better = 0.5 + 1 / COMPARISON["frame_fit"]  # one more in the log-odds
+    ranked = compared(looks("a", "b", "c"), [evidence(), evidence(frame_fit=better), evidence()])
+    assert [look.name for look, _ in ranked] == ["b", "a", "c"]
+    assert [share for _, share in ranked] == pytest.approx([math.e / (math.e + 2), *2 * [1 / (math.e + 2)]])
+
+
+def test_what_fits_better_counts_for_a_candidate_and_what_is_left_against_it() -> None:
+    for name in ("map_fit", "frame_fit", "coarse_fit", "unexplained", "left_over"):
+        more = compared(looks("less", "more"), [evidence(), evidence(**{name: 0.6})])[0][0].name
+        assert more == ("less" if name in ("unexplained", "left_over") else "more"), name
+
+
+@pytest.mark.parametrize("size", [(0.1, 0.1, 0.1), (0.5, 0.1, 0.05), (0.3, 0.3, 0.3)])
+def test_a_shared_window_holds_what_is_needed_and_is_one_of_few(size: tuple[float, float, float]) -> None:
+    mesh, at = sj.Mesh.from_arrays(*box(size, (0.0, 0.0, size[2] / 2))), sj.Pose(2.3)
+    shared = plan_shared(mesh, SONAR, at, MAP_REFINEMENT)
+    assert shared.holds(plan_refinement(mesh, SONAR, at, MAP_REFINEMENT))
+    assert shared.shape[0] in (256, 512) and shared.shape[1] in (64, 96) and shared.object_columns in (48, 96)
