@@ -1,53 +1,17 @@
-"""Cutting patches out of frames: a box of any size resampled to a fixed shape, and the labels of what is in it.
-
-The same functions serve training and inference, because a network knows only the resampling that it was trained with.
-"""
+"""Random crops of training frames, and the labels of what is in them."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt8
 
+from sonarjax.crops import LEAST, PATCH, Box, cut_box
 from sonarjax.data.draws import Stream
-
-PATCH = (128, 128)
-"""Shape (range, beam) of a patch [pixels]."""
-
 
 CROP_SHARES = (0.7, 0.1, 0.08, 0.12)
 """How often a crop holds object and shadow with a margin, loses its far part, lies anywhere, is the whole frame."""
-LEAST = (40, 12)
-"""Least extent of a random crop (range, beam) [pixels]."""
 MARGIN, MARGIN_OF_FRAME = (0.0, 0.6), (0.0, 0.06)
 """Least and largest margin on each side of the object, in extents of the object plus extents of the frame."""
-
-
-class Box(NamedTuple):
-    """A part of a frame; edges need not fall on pixels."""
-
-    top: Float[Array, ""] | float
-    """Near edge [range bins]."""
-    left: Float[Array, ""] | float
-    """Starboard edge [beams]."""
-    rows: Float[Array, ""] | float
-    """Extent in range [range bins]."""
-    columns: Float[Array, ""] | float
-    """Extent in azimuth [beams]."""
-
-
-def cut_box(
-    image: Float[Array, "range beam"], box: Box, shape: tuple[int, int] = PATCH
-) -> Float[Array, "patch_range patch_beam"]:
-    """A part of an image (range, beam) as one of `shape` (patch_range, patch_beam): linear, averaged where it shrinks.
-
-    Zero beyond the frame. Differentiable, under jit and vmap, the box too.
-    """
-    scale = jnp.stack([shape[0] / jnp.asarray(box.rows), shape[1] / jnp.asarray(box.columns)])
-    corner = jnp.stack([jnp.asarray(box.top, jnp.float32), jnp.asarray(box.left, jnp.float32)])
-    return jax.image.scale_and_translate(image, shape, (0, 1), scale, -corner * scale, "linear", antialias=True)
 
 
 def cut_labels(
@@ -60,20 +24,6 @@ def cut_labels(
     hidden = cut_box(shadow * (1 - highlight), box, shape)
     lit = cut_box(highlight, box, shape)
     return jnp.argmax(jnp.stack([1 - lit - hidden, lit, hidden]), axis=0).astype(jnp.uint8)
-
-
-def paste_patch(
-    patch: Float[Array, "patch_range patch_beam"], box: Box, shape: tuple[int, int], outside: float = 0.5
-) -> Float[Array, "range beam"]:
-    """The inverse of `cut_box`: a patch (patch_range, patch_beam) on the pixels of a frame of `shape` (range, beam).
-
-    Pixels outside the box are `outside`, by default the grey of background.
-    """
-    rows, columns = patch.shape
-    scale = jnp.stack([jnp.asarray(box.rows) / rows, jnp.asarray(box.columns) / columns])
-    corner = jnp.stack([jnp.asarray(box.top, jnp.float32), jnp.asarray(box.left, jnp.float32)])
-    placed = jax.image.scale_and_translate(patch - outside, shape, (0, 1), scale, corner, "linear", antialias=True)
-    return placed + outside
 
 
 def touched_span(touched: Bool[Array, "pixel"]) -> tuple[Int[Array, ""], Int[Array, ""]]:
