@@ -8,15 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from experiments.ablate import EVERYTHING, NOTHING, SWEEPS
+from experiments.common.runs import Run
 from paper_figs import style
-from paper_figs.shared import Line, in_order, load, row_where
+from paper_figs.shared import Line, in_order, row_where
 
 LINES = ("-", "--", ":")
 WAY = "curve"
@@ -49,9 +49,9 @@ class Ablation:
         """What makes the runs."""
         return tuple(f"ablate --vary {vary}" for vary in self.sweeps)
 
-    def draw(self, runs: Path) -> Figure:
+    def draw(self, *runs: Run) -> Figure:
         """The panels, (a) to the last."""
-        tables = [load(runs, name).report["rows"] for name in self.EXPERIMENTS]
+        tables = [run.report["rows"] for run in runs]
         names = 0 if _numeric(tables[0]) else len(in_order(tables[0], "value"))
         figure = style.sheet(style.TWO_COLUMNS, max(2.6, 1.1 + 0.2 * names) + 1.8 * (len(tables) - 1))
         axes = figure.subplots(len(tables), len(self.panels), squeeze=False)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 from matplotlib.figure import Figure
 
 from experiments.common import paper
+from experiments.common.runs import Run
 from paper_figs import style
-from paper_figs.shared import in_order, load, row_where
+from paper_figs.shared import in_order, row_where
 
 ITEM = "Ext. 5"
 CAPTION = (
@@ -26,9 +25,9 @@ PANELS = {
 }
 
 
-def draw(runs: Path) -> Figure:
+def draw(run: Run) -> Figure:
     """A panel for each measure, a line of markers for each segmenter."""
-    sets = load(runs, "evaluate_segmenters").report["sets"]
+    sets = run.report["sets"]
     names = in_order([row for rows in sets.values() for row in rows], "segmenter")
     figure = style.sheet(style.TWO_COLUMNS, 1.0 + 0.36 * len(names))
     axes = figure.subplots(1, len(PANELS), sharey=True)
