@@ -197,7 +197,7 @@ def make_shapes(runs: Path, rng: np.random.Generator) -> None:
 def make_dataset_bench(runs: Path, rng: np.random.Generator) -> None:
     rows = [row(rng, *bench_dataset.HEADS, format="coco", scenes=1)]
     pictures = {name: rng.integers(0, 3, (2, 16, 8), np.uint8) for name in ("image", "labels", "instances")}
-    finish(runs, "bench_dataset", {"rows": rows, "memory": [], "cores": 2}, frames=pictures)
+    finish(runs, "bench_dataset", {"rows": rows, "memory": [], "cores": 2, "load": [0.0, 2.0]}, frames=pictures)
 
 
 def make_thresholds(runs: Path, rng: np.random.Generator, preset: str = "full") -> None:
