@@ -90,10 +90,11 @@ def find_visible(
     seen = front_faces(fixed.vertices, fixed.faces, mesh.closed)
     # `materialised` keeps XLA from fusing a stage into each of its uses, which would cost compile time and run time.
     table, overflow = candidates(fixed.vertices, fixed.faces, seen, azimuth, mesh.crossings, mesh.front)
+    shared = corners_of(fixed, table) if len(table) == 1 else None  # of one list for all slabs: looked up once
     table = jnp.broadcast_to(table, (len(azimuth), table.shape[1]))
 
     def cut_slabs(azimuth: Array, table: Array) -> Segments:
-        segments = cut(corners_of(fixed, table), azimuth[:, None], fixed.view)
+        segments = cut(corners_of(fixed, table) if shared is None else shared, azimuth[:, None], fixed.view)
         return segments._replace(hit=segments.hit & (table >= 0))
 
     def spans_of(intervals: VisibleIntervals, segments: Segments, table: Array, azimuth: Array) -> Spans:
