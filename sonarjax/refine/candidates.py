@@ -22,8 +22,8 @@ from sonarjax.sonar import Sonar
 QUICK_ITERATIONS = 1
 """Renders at each blur of the quick refinement."""
 COMPARISON: Mapping[str, float] = {
-    "map_fit": 8.53, "frame_fit": 10.2, "coarse_fit": 0.15, "unexplained": -9.43, "left_over": -0.42,
-    "frame_peak": 6.65, "score_bank": 9.87,
+    "map_fit": 9.05, "frame_fit": 13.4, "coarse_fit": 0.207, "unexplained": -10.6, "left_over": -0.701,
+    "frame_peak": 6.43, "score_bank": 10.1,
 }  # fmt: skip
 """Weight of each number in the log-odds that a candidate is the one that is shown, from validation frames
 (experiments/fit_candidates.py). How far it stands out over yaw is no part of it: that tells of its symmetry."""
