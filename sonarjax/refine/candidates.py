@@ -87,7 +87,7 @@ def quick_evidence(
     `seen` is the map of the frame; `window` tells the window that a target at a pose needs. With `score_bank`.
     """
     brief = replace(on_frame(config), iterations=QUICK_ITERATIONS)
-    starts = [(k, start) for k, look in enumerate(looks) for start in _apart(make_starts(*look, seen, image, 1))]
+    starts = [(k, start) for k, look in enumerate(looks) for start in apart(make_starts(*look, seen, image, 1))]
 
     def refined(numbered: tuple[int, Start]) -> tuple[int, dict[str, float]]:
         k, start = numbered
@@ -112,7 +112,7 @@ def compared(looks: Sequence[Look], evidence: Sequence[Mapping[str, float]]) -> 
     return [(looks[k], float(shares[k])) for k in np.argsort(-odds, kind="stable")]
 
 
-def _apart(starts: list[Start]) -> list[Start]:
+def apart(starts: list[Start]) -> list[Start]:
     """The starts without those that begin as one before them does."""
     kept: list[Start] = []
     for start in starts:
