@@ -170,7 +170,7 @@ def make_poses(runs: Path, rng: np.random.Generator) -> None:
 
 
 def make_catalog(runs: Path, rng: np.random.Generator) -> None:
-    names, sets = ["target", "target, mirror image", "brick"], ("drawn devices", "widest family", "the judge")
+    names, sets = ["target", "target, mirror image", "brick"], ("drawn devices", "the judge")
     rows = [row(rng, "top_1", "alike", "identified", "refused", frames_of=name) for name in sets]
     counts = {name: (rng.integers(0, 2, (3, 3)) + 3 * np.eye(3, dtype=int)).tolist() for name in sets}
     alike = [["target", "target, mirror image"]]
