@@ -1,6 +1,6 @@
 """Crops: a box of any size in a frame, resampled to the one shape that the network sees, and back.
 
-Training and inference share these functions, because a network knows only the resampling that it was trained with.
+The same functions serve training and inference, because a network knows only the resampling with which it was trained.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ PATCH = (128, 128)
 TRAINING_FRAME = (256, 64)
 """Shape (range, beam) of the frames that training crops are cut from [pixels]."""
 LEAST = (40, 12)
-"""Least extent (range, beam) of a crop in its frame [pixels]."""
+"""Least size (range, beam) of a crop in its frame [pixels]."""
 
 
 class Box(NamedTuple):
-    """A part of a frame; edges need not fall on pixels."""
+    """A part of a frame. Its edges need not lie on pixel edges."""
 
     top: Float[Array, ""] | float
     """Near edge [range bins]."""
@@ -35,9 +35,10 @@ class Box(NamedTuple):
 def cut_box(
     image: Float[Array, "range beam"], box: Box, shape: tuple[int, int] = PATCH
 ) -> Float[Array, "patch_range patch_beam"]:
-    """A part of an image (range, beam) as one of `shape` (patch_range, patch_beam): linear, averaged where it shrinks.
+    """Resample a part of an image (range, beam) to `shape` (patch_range, patch_beam): linear, averaging where it
+    shrinks.
 
-    Zero beyond the frame. Differentiable, under jit and vmap, the box too.
+    It is zero beyond the frame. Differentiable, in the box too, and works under jit and vmap.
     """
     scale = jnp.stack([shape[0] / jnp.asarray(box.rows), shape[1] / jnp.asarray(box.columns)])
     corner = jnp.stack([jnp.asarray(box.top, jnp.float32), jnp.asarray(box.left, jnp.float32)])
@@ -47,9 +48,9 @@ def cut_box(
 def paste_patch(
     patch: Float[Array, "patch_range patch_beam"], box: Box, shape: tuple[int, int], outside: float = 0.5
 ) -> Float[Array, "range beam"]:
-    """The inverse of `cut_box`: a patch (patch_range, patch_beam) on the pixels of a frame of `shape` (range, beam).
+    """The inverse of `cut_box`: put a crop (patch_range, patch_beam) back into a frame of `shape` (range, beam).
 
-    Pixels outside the box are `outside`, by default the grey of background.
+    Pixels outside the box are set to `outside`, by default the grey of background.
     """
     rows, columns = patch.shape
     scale = jnp.stack([jnp.asarray(box.rows) / rows, jnp.asarray(box.columns) / columns])

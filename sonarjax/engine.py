@@ -26,6 +26,7 @@ class Engine:
     def stream(self, function: Callable[[Any, Any, Engine], Any], shared: Any, items: Iterable[Any]) -> Iterator[Any]:
         """Yield `function(shared, item, engine)` for each item in order, few at a time, so that memory does not grow
         with them.
+
         `function` must be defined in a module, because an engine may run it in another process. `engine` is then that
         process's own.
         """

@@ -1,12 +1,13 @@
 """The house rule of the package: imports only go up the list of stages, each heavy library has one importer.
 
-The rule is read from the syntax tree, so nothing is imported, and the checker itself is held to synthetic violations.
+No module imports itself by way of others. The rules are read from the syntax tree, so nothing is imported, and the
+checker itself is held to synthetic violations.
 """
 
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
@@ -102,6 +103,49 @@ def project_files() -> list[Path]:
 @pytest.mark.parametrize("file", project_files(), ids=lambda p: p.relative_to(PROJECT).as_posix())
 def test_file_keeps_the_rule(file: Path) -> None:
     assert violations(file.relative_to(PROJECT).as_posix(), file.read_text(encoding="utf-8")) == []
+
+
+def circles(sources: dict[str, str]) -> list[str]:
+    """Modules that import themselves by way of others, from the source of each module by its dotted name.
+
+    Imports inside functions count: they would only hide a circle. A package is its `__init__`.
+    """
+    reached = {name: _modules_of(name, source, sources) for name, source in sources.items()}
+    while True:
+        wider = {name: there.union(*(reached[one] for one in there)) for name, there in reached.items()}
+        if wider == reached:
+            return sorted(name for name, there in reached.items() if name in there)
+        reached = wider
+
+
+def _modules_of(name: str, source: str, known: Iterable[str]) -> set[str]:
+    found = set()
+    for _, imported in imported_modules(source, name.split(".")[:-1]):
+        parts = imported.split(".")
+        candidates = (".".join(parts[:k]) for k in range(len(parts), 0, -1))
+        found |= {one for one in [next((c for c in candidates if c in known), None)] if one and one != name}
+    return found
+
+
+def package_sources() -> dict[str, str]:
+    files = sorted((PROJECT / "sonarjax").rglob("*.py"))
+    names = [p.relative_to(PROJECT).with_suffix("").as_posix().replace("/", ".") for p in files]
+    return {n.removesuffix(".__init__"): p.read_text(encoding="utf-8") for n, p in zip(names, files, strict=True)}
+
+
+def test_no_module_imports_itself_by_way_of_others() -> None:
+    assert circles(package_sources()) == []
+
+
+def test_circle_is_seen() -> None:
+    sources = {
+        "sonarjax.a.x": "def f():\n    from sonarjax.a.y import g",
+        "sonarjax.a.y": "from sonarjax.a import z",
+        "sonarjax.a.z": "import sonarjax.a.x",
+        "sonarjax.a.w": "from sonarjax.a.x import f",
+    }
+    assert circles(sources) == ["sonarjax.a.x", "sonarjax.a.y", "sonarjax.a.z"]
+    assert circles(sources | {"sonarjax.a.z": ""}) == []
 
 
 def test_package_has_no_other_folder() -> None:

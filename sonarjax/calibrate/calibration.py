@@ -43,6 +43,7 @@ class Calibration:
     """The nominal sonar, with the numbers that the frames determine replaced."""
     sensor: SensorModel
     """The nominal device, with the fitted object gain, noise, display exponent, skirt, pulse and beam width.
+
     `tvg_exponent` is the slope of the noise. The fitted model is another one than `SensorModel`, so these are the
     nearest values: good for comparison, not for simulation.
     """

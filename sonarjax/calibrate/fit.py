@@ -67,6 +67,7 @@ def fit_frames(
 ) -> tuple[Fit, Certainty]:
     """Fit `frames` jointly, from their poses and the changes `begin` (free,) of the free numbers; say how well they are
     known.
+
     `coarse` if these may be far off. A number that the frames do not determine is left unchanged.
     """
     size = _window(job, starts, begin)

@@ -1,4 +1,4 @@
-"""What commands' runs have in common: every frame in the order given, and JAX set up."""
+"""What several commands share: every frame in the order given, and setting up JAX."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Lazy = Any  # a type of a module that is imported inside the function: the docst
 def each_frame(specs: Sequence[str]) -> Iterator[tuple[str, Lazy]]:
     """Name and io.Frame of every frame in the order given; for one that cannot be read, the exception that says why.
 
-    A bar on stderr shows progress where that is a terminal.
+    A progress bar is shown if stderr is a terminal.
     """
     from tqdm import tqdm
 
@@ -26,10 +26,10 @@ def each_frame(specs: Sequence[str]) -> Iterator[tuple[str, Lazy]]:
             try:
                 for frame in iter_records(spec):
                     if isinstance(frame, SonarjaxError):
-                        yield spec, frame  # of a recording's damaged frame: the others follow
+                        yield spec, frame  # the error of a damaged frame; the recording's other frames follow
                         continue
                     if first and split_spec(spec).number is None:
-                        bar.total += frame.meta["n_frames"] - 1  # known only now
+                        bar.total += frame.meta["n_frames"] - 1  # not known before the first frame is read
                     first = False
                     yield frame.source, frame
                     bar.update()
@@ -51,7 +51,7 @@ def start_jax() -> None:
 def engine_of(cluster: str | None) -> Iterator[Lazy]:
     """The engine of a command: this machine's `CpuEngine`, or a `ClusterEngine` of the Dask workers at `cluster`.
 
-    Raises SonarjaxError when there is no such cluster, or the package for it is missing.
+    Raises SonarjaxError if there is no such cluster, or the package for it is missing.
     """
     if cluster is None:
         from sonarjax.cpu import CpuEngine

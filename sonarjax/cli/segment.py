@@ -40,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
             labels = segmenter.labels(frame.image, frame.mask, engine)
         except BrokenPipeError:
             raise
-        except Exception as error:  # whatever one frame does to us, the others are still to be segmented
+        except Exception as error:  # whatever goes wrong with one frame, go on to the others
             complain(naming(name, error))
             code = 1
             continue

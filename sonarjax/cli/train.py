@@ -31,7 +31,7 @@ def run(args: argparse.Namespace) -> int:
     from sonarjax.cpu import CpuEngine, keep_memory
     from sonarjax.segment.training import train
 
-    keep_memory()  # a third of a step would go into asking for its memory again
+    keep_memory()  # allocating a step's memory anew would take a third of the step
     result = train(args.preset, args.run_dir, resume=args.resume, engine=CpuEngine())
     if not result.finished:
         complain(f"stopped after step {result.step}; --resume goes on from there", "")

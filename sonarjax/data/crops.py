@@ -9,17 +9,23 @@ from sonarjax.crops import LEAST, PATCH, Box, cut_box
 from sonarjax.data.draws import Stream
 
 CROP_SHARES = (0.7, 0.1, 0.08, 0.12)
-"""How often a crop holds object and shadow with a margin, loses its far part, lies anywhere, is the whole frame."""
+"""Probability that a crop holds object and shadow with a margin, cuts off their far part, lies anywhere, or is
+the complete frame.
+"""
 MARGIN, MARGIN_OF_FRAME = (0.0, 0.6), (0.0, 0.06)
-"""Least and largest margin on each side of the object, in extents of the object plus extents of the frame."""
+"""Least and largest margin on each side of the object: `MARGIN` times the object's extent plus
+`MARGIN_OF_FRAME` times the frame's.
+"""
 
 
 def cut_labels(
     highlight: Float[Array, "range beam"], shadow: Float[Array, "range beam"], box: Box, shape: tuple[int, int] = PATCH
 ) -> UInt8[Array, "patch_range patch_beam"]:
-    """Labels (patch_range, patch_beam) of a part of a frame: the largest share after its shares (range, beam) are cut.
+    """Labels (patch_range, patch_beam) of a part of a frame: the largest of the shares (range, beam), after resampling
+    them.
 
-    Thin highlights survive where nearest neighbours would skip them, and edges are smooth where pixels are stretched.
+    Thin highlights survive that nearest-neighbour sampling would skip, and edges stay smooth where pixels are
+    stretched.
     """
     hidden = cut_box(shadow * (1 - highlight), box, shape)
     lit = cut_box(highlight, box, shape)
@@ -27,25 +33,25 @@ def cut_labels(
 
 
 def touched_span(touched: Bool[Array, "pixel"]) -> tuple[Int[Array, ""], Int[Array, ""]]:
-    """First and one past the last of the pixels (pixel,) that are true; all of them where none is."""
+    """First, and one past the last, of the pixels (pixel,) that are true; the full span if there are none."""
     count = len(touched)
     last = count - jnp.argmax(touched[::-1])
     return jnp.where(touched.any(), jnp.argmax(touched), 0), jnp.where(touched.any(), last, count)
 
 
 def draw_box(labels: UInt8[Array, "range beam"], *, key: Array) -> Box:
-    """A random box in a frame with these labels (range, beam), mostly around the object; see `CROP_SHARES`."""
+    """Draw a random box in a frame with these labels (range, beam), mostly around the object; see `CROP_SHARES`."""
     stream = Stream(16, key=key)
     kind = stream.pick(CROP_SHARES)
     top, height = _draw_span((labels > 0).any(axis=1), LEAST[0], kind, stream)
     left, width = _draw_span((labels > 0).any(axis=0), LEAST[1], kind, stream)
-    # Part of the shadow, sometimes of the object, is left out.
+    # Kind 1 cuts off part of the shadow, and sometimes part of the object.
     shorter = jnp.maximum(height * stream.between(0.35, 0.8), LEAST[0])
     return Box(top, left, jnp.where(kind == 1, shorter, height), width)
 
 
 def _draw_span(touched: Bool[Array, "pixel"], least: int, kind: Array, stream: Stream) -> tuple[Array, Array]:
-    """Start and length [pixels] along one axis, whose pixels that the object touches are given."""
+    """Start and length [pixels] along one axis, given the pixels on it that the object touches."""
     count = len(touched)
     first, stop = touched_span(touched)
     before, after = (

@@ -1,6 +1,6 @@
-"""A stream of random numbers under jit: one draw from a key, used up one by one.
+"""A stream of random numbers under jit: a single draw from a key, whose numbers are then used one by one.
 
-Every draw of its own is some hundred instructions to compile; a pair needs a hundred numbers.
+Each separate draw adds some hundred instructions to compile, and a pair needs a hundred numbers.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 Number = Any  # a float or a traced scalar
-TAIL = 0.5 * (1 - NormalDist().cdf(3.0))  # normal draws stop near three standard deviations: a scene stays a scene
+TAIL = 0.5 * (1 - NormalDist().cdf(3.0))  # normal draws stop near three standard deviations, to keep scenes plausible
 
 
 class Stream:
-    """Random numbers drawn at once from a key; each method takes the next, while tracing."""
+    """Random numbers that are drawn at once from a key. Each method uses the next one, while the function is traced."""
 
     def __init__(self, count: int, *, key: Array) -> None:
-        """`count` numbers; asking for more raises IndexError."""
+        """Draw `count` numbers. Asking for more raises IndexError."""
         self._numbers = jax.random.uniform(key, (count,))
         self._next = 0
 
@@ -37,7 +37,7 @@ class Stream:
         return low + (high - low) * self.uniform()
 
     def log_between(self, low: float, high: float) -> Float[Array, ""]:
-        """A number from `low` to `high`, even in its logarithm."""
+        """A number from `low` to `high`, uniform in its logarithm."""
         return jnp.exp(self.between(math.log(low), math.log(high)))
 
     def normal(self) -> Float[Array, ""]:
@@ -45,14 +45,14 @@ class Stream:
         return jax.scipy.special.ndtri(self.between(TAIL, 1 - TAIL))
 
     def pick(self, shares: tuple[float, ...]) -> Int[Array, ""]:
-        """A random index, each as often as its share of `shares` says."""
+        """A random index, each with a probability proportional to its entry in `shares`."""
         bounds = [sum(shares[:n]) / sum(shares) for n in range(1, len(shares))]
         return (self.uniform() >= jnp.array(bounds)).sum()
 
     def happens(self, share: Number) -> Any:
-        """True in this share of all draws."""
+        """True with probability `share`."""
         return self.uniform() < share
 
     def sometimes(self, share: float, value: Number, otherwise: Number) -> Float[Array, ""]:
-        """`value` in this share of all draws, else `otherwise`."""
+        """`value` with probability `share`, else `otherwise`."""
         return jnp.where(self.happens(share), value, otherwise)

@@ -1,8 +1,8 @@
-"""Pairs as a folder of PNG files with a manifest, for other tools, and folders of real pairs in the same form.
+"""Pairs as a folder of PNG files with a manifest, for other tools; also the form for folders of real pairs.
 
-`manifest.jsonl` has one JSON object a line: `image` and `labels` name two grey PNGs of one shape beside it. Labels are
-stored as grey, 0 shadow, 128 background, 255 highlight, so that people can look at them. What made the pairs
-(`number`, `key`, `settings`) stands beside the names where it is known; a reader needs only the names.
+Each line of `manifest.jsonl` is a JSON object whose `image` and `labels` name two grey PNGs of equal shape in the
+folder. Labels are stored as grey that people can see: 0 shadow, 128 background, 255 highlight. What made the pairs
+(`number`, `key`, `settings`) is added if it is known. A reader needs only the names.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from sonarjax.io.png import parse_png
 
 MANIFEST = "manifest.jsonl"
 STORED = np.array([128, 255, 0], np.uint8)
-"""Grey value in a file of background, highlight and shadow."""
+"""Grey value in a file for background, highlight and shadow."""
 
 
 def export_pairs(
@@ -40,8 +40,17 @@ def export_pairs(
 ) -> None:
     """Write pairs as PNGs with a manifest into `folder`, made if missing; `import_pairs` reads them back unchanged.
 
-    `key`, `settings` and `first`, those of `make_pairs`, are kept in the manifest. The manifest is written last: a
-    folder with one is complete. Raises SonarjaxError when something cannot be written.
+    The manifest is written last, so a folder that has one is complete.
+
+    Args:
+        pairs: The pairs.
+        folder: The folder.
+        key: As given to `make_pairs`; kept in the manifest.
+        settings: As given to `make_pairs`; kept in the manifest.
+        first: As given to `make_pairs`; kept in the manifest.
+
+    Raises:
+        SonarjaxError: Something cannot be written.
     """
     target = Path(folder)
     try:
@@ -52,7 +61,7 @@ def export_pairs(
     if key is not None:
         origin["key"] = np.asarray(jax.random.key_data(key)).tolist()
     with contextlib.suppress(OSError):
-        (target / MANIFEST).unlink()  # of an older export
+        (target / MANIFEST).unlink()  # left by an earlier export
     lines = []
     for index, (image, labels) in enumerate(zip(np.asarray(pairs.image), np.asarray(pairs.labels), strict=True)):
         names = {"image": f"image_{index:05d}.png", "labels": f"labels_{index:05d}.png"}
@@ -63,10 +72,13 @@ def export_pairs(
 
 
 def import_pairs(folder: str | os.PathLike[str]) -> Pairs:
-    """The pairs (pair, 128, 128) of a folder that has a manifest, in its order.
+    """Read the pairs (pair, 128, 128) of a folder with a manifest, in its order.
 
-    Patches of another size are resampled to 128 × 128 (labels to the nearest). Raises SonarjaxError, naming the line,
-    for a manifest or a picture that is missing or cannot be used, and for a label image with other grey values.
+    Pictures of another size are resampled to 128 × 128 (labels to the nearest).
+
+    Raises:
+        SonarjaxError: The manifest or a picture is missing or cannot be used, or a label picture has other grey values.
+            The message names the line.
     """
     source = Path(folder)
     manifest = source / MANIFEST
@@ -112,7 +124,7 @@ def _read_pair(
 
 
 def _fitted(image: np.ndarray, labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Both as patches of the usual size."""
+    """Image and labels resampled to the usual size."""
     if image.shape == PATCH:
         return image, labels
     resized = np.asarray(jax.image.resize(image, PATCH, "linear", antialias=True))

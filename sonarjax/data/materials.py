@@ -1,4 +1,4 @@
-"""What the faces of a random object send back: Lambert's law, a glossy lobe, and differences from face to face."""
+"""How much the faces of a random object send back: Lambert's law, a glossy lobe, and differences between faces."""
 
 from __future__ import annotations
 
@@ -12,18 +12,20 @@ from sonarjax.data.draws import Stream
 from sonarjax.scene import Mesh
 
 LAMBERT = (0.0, 2.0)
-"""Exponent of cos(incidence) [1]: 0 is eq. 2 alone, 2 is Lambert's law on both ways."""
+"""Range of the exponent of cos(incidence) [1]: 0 is eq. 2 alone, 2 is Lambert's law both ways."""
 GLOSSY_SHARE, GLOSS, LOBE_DEG = 0.5, (0.3, 10.0), (5.0, 20.0)
-"""How often an object has a glossy lobe, how strong it is beside the diffuse echo [1], and its width [deg]."""
+"""Share of objects with a glossy lobe, range of its strength relative to the diffuse echo [1], and of its width
+[deg].
+"""
 FACE_DB = (0.0, 3.0)
-"""Standard deviation of the differences from face to face [dB]."""
-NUMBERS = 8  # that a material takes from its stream
+"""Range of the standard deviation of the differences between faces [dB]."""
+NUMBERS = 8  # random numbers that a material takes from its stream
 
 
 def draw_reflectivity(mesh: Mesh, height: Array, faces: int, *, key: Array) -> Float[Array, "face"]:
-    """What each triangle (face,) of a mesh in the ground frame sends back to a head at `height` [m] above the origin.
+    """Draw how much each triangle (face,) of a mesh in the ground frame sends back to a head at `height` [m].
 
-    The first `faces` of them are the object's; all others, the tank's walls, send back 1.
+    The first `faces` triangles are the object's. All others, the walls of the tank, have 1.
     """
     stream = Stream(NUMBERS, key=key)
     exponent = stream.between(*LAMBERT)
@@ -37,11 +39,18 @@ def draw_reflectivity(mesh: Mesh, height: Array, faces: int, *, key: Array) -> F
 def reflectivity(
     mesh: Mesh, height: Any, exponent: Any, gloss: Any, width: Any, quads_db: Float[Array, "quad"]
 ) -> Float[Array, "face"]:
-    """What each triangle (face,) of a mesh in the ground frame sends back to a head at `height` [m] above the origin.
+    """Factor on the energy that each triangle (face,) of a mesh in the ground frame sends back.
 
-    cos(incidence)^`exponent`, Lambert's law (Urick, Principles of Underwater Sound, 1983, ch. 8), and a lobe around the
-    normal of strength `gloss` [1] and `width` [rad]; two triangles in a row share one of `quads_db` (quad,) [dB].
-    Incidence is that at a triangle's middle.
+    It is cos(incidence)^`exponent`, Lambert's law (Urick, Principles of Underwater Sound, 1983, ch. 8), plus a lobe
+    around the normal. Incidence is taken at the middle of a triangle.
+
+    Args:
+        mesh: The mesh.
+        height: Height of the sonar head above the origin [m].
+        exponent: Exponent of Lambert's law [1].
+        gloss: Strength of the lobe [1].
+        width: Width of the lobe [rad].
+        quads_db: Level of each pair of consecutive triangles (quad,) [dB].
     """
     a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
     normals, sight = jnp.cross(b - a, c - a), (a + b + c) / 3 - jnp.array([0.0, 0.0, 1.0]) * height

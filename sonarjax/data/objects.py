@@ -25,13 +25,13 @@ from sonarjax.data.tubes import draw_tube
 from sonarjax.scene.pose import rotation_y, rotation_z
 
 KIND_SHARES = (0.44, 0.14, 0.07, 0.35)
-"""How often the object is a pile of boxes, a cylinder, a ball, a tube."""
+"""Probability that the object is a pile of boxes, a cylinder, a ball, or a tube."""
 PITCH_SHARES = (0.4, 0.5, 0.1)
-"""How often a cylinder is upright, lying, leaning."""
+"""Probability that a cylinder stands upright, lies, or leans."""
 NOTHING_SHARE = 0.04
-"""How often there is no object."""
+"""Probability that there is no object."""
 RAISED_SHARE, RAISED_M = 0.1, 0.04
-"""How often the object does not touch the floor, and how high it is then at most [m]."""
+"""Probability that the object does not touch the floor, and its largest height then [m]."""
 
 
 class Shape(NamedTuple):
@@ -40,11 +40,11 @@ class Shape(NamedTuple):
     kind: Int[Array, ""]
     """BOXES, CYLINDER, BALL or TUBE of `shapes`."""
     vertices: Float[Array, "vertex 3"]
-    """Vertices [m] for `shape_mesh`; all of them coincide where there is no object."""
+    """Vertices [m] for `shape_mesh`; they all coincide if there is no object."""
 
 
 def draw_shape(*, key: Array) -> Shape:
-    """A random object."""
+    """Draw a random object."""
     pile_key, own_key, tube_key = split(key, 3)
     stream = Stream(16, key=own_key)
     kind = jnp.array([BOXES, CYLINDER, BALL, TUBE])[stream.pick(KIND_SHARES)]
@@ -56,7 +56,7 @@ def draw_shape(*, key: Array) -> Shape:
 
 
 def _draw_round(kind: Array, stream: Stream) -> Float[Array, "vertex 3"]:
-    """A ball, or a cylinder upright, lying or leaning; it touches z = 0 at its lowest."""
+    """A ball, or a cylinder that stands upright, lies or leans; its lowest point is at z = 0."""
     radius, length = stream.log_between(0.025, 0.15), stream.log_between(0.05, 0.4)
     pitches = jnp.stack([jnp.zeros(()), jnp.full((), math.pi / 2), stream.between(0.0, math.pi / 2)])
     pitch = pitches[stream.pick(PITCH_SHARES)]

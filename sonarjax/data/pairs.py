@@ -1,8 +1,8 @@
 """Training pairs as a jitted function of a key (§3.1): what a sonar shows of a random object, and its labels.
 
-A pair is an image (range, beam) in [0, 1] of 256 values and labels 0 background, 1 highlight, 2 shadow, both 128 × 128
-crops of one frame. Labels are those of the object alone, as in a template: tank walls are background, and so is floor
-that is not there or not lit, dark as it looks (a template is 0.5 there).
+A pair is an image (range, beam) of 256 values in [0, 1], and labels 0 background, 1 highlight, 2 shadow. Both are 128 ×
+128 crops of one frame. The labels are those of the object alone, as in a template. Tank walls are background. So is
+floor that is missing or unlit, although it looks dark (a template is 0.5 there).
 """
 
 from __future__ import annotations
@@ -35,31 +35,32 @@ PAPER_PAIRS = 6780
 SPLITS = {"train": 1, "validation": 2, "test": 3}
 SMOOTHING = 1.5
 """Largest standard deviation of a resampled picture's blur [pixels]."""
-CHUNK = 8  # pairs made by one call of the compiled function
-VMAPPED = 64  # pairs at once on an accelerator
+CHUNK = 8  # pairs that one call of the compiled function makes
+VMAPPED = 64  # the same on an accelerator, where they are computed at once
 
 
 @dataclass(frozen=True)
 class PairSettings:
-    """What is fixed about pairs; hashable, so that it can be static under `jax.jit`."""
+    """What all pairs have in common. Hashable, so that it can be a static argument under `jax.jit`."""
 
     n_ranges: int = TRAINING_FRAME[0]
-    """Range bins of the frame that a pair is cut from."""
+    """Range bins of the frame from which a pair is cut."""
     n_beams: int = TRAINING_FRAME[1]
     """Beams of that frame."""
     severity: tuple[float, float] = (0.0, 2.0)
-    """Least and largest severity of the sensor model [1], drawn evenly."""
+    """Least and largest severity of the sensor model [1], drawn uniformly."""
     sub_beams: int = 1
-    """Azimuth parts of a beam, as in `render`."""
+    """Equal azimuth parts of each beam, as in `RenderQuality`."""
     elevations: int = 16
-    """Elevation cells of the energy integral, as in `render`."""
+    """Elevation cells of the energy integral, as in `RenderQuality`."""
     odd: float = 0.75
-    """Share of pairs [1] whose device, place and object's material may be odd (`SensorModel.draw_wide`,
-    `draw_reflectivity`); the others have a device of the family and equal faces."""
+    """Share of pairs [1] with an unusual device, place and material (`SensorModel.draw_wide`,
+    `draw_reflectivity`). The others have a device from `SensorModel.draw`, and equal faces.
+    """
     smoothed: float = 0.3
-    """Share of pairs [1] whose image was resampled, and so smoothed, after it was stored: fan pictures."""
+    """Share of pairs [1] whose image was resampled after it was stored, and so smoothed, as fan pictures are."""
     tank: bool = False
-    """Every view is one of §3.1 (`draw_tank_view`), instead of any sonar at any place (`draw_view`)."""
+    """Use only views of §3.1 (`draw_tank_view`), instead of any sonar at any place (`draw_view`)."""
 
 
 PAPER_SETTINGS = PairSettings(odd=0.0, smoothed=0.0, tank=True)
@@ -80,9 +81,10 @@ class Pairs:
 
 
 def split_key(run_seed: int, split: str) -> Array:
-    """The key of the pairs for `split` ("train", "validation" or "test"): no two splits share a pair.
+    """The key of the pairs for `split` ("train", "validation" or "test"). No two splits share a pair.
 
-    Raises SonarjaxError for another split.
+    Raises:
+        SonarjaxError: The split is unknown.
     """
     if split not in SPLITS:
         raise SonarjaxError(f"pairs: expected a split of {', '.join(SPLITS)}, got {split!r}")
@@ -92,9 +94,17 @@ def split_key(run_seed: int, split: str) -> Array:
 def make_pairs(
     count: int, settings: PairSettings = PairSettings(), *, key: Array, first: int = 0, engine: Engine = PLAIN
 ) -> Pairs:
-    """`count` pairs, numbers `first` and on of those of `key`: pair i is the same whatever is made beside it.
+    """Make pairs from a key. Pair i is the same whatever others are made with it.
 
-    Raises SonarjaxError when `count` is below 1.
+    Args:
+        count: How many.
+        settings: What they have in common.
+        key: Source of all random numbers.
+        first: Number of the first pair.
+        engine: Runs the compiled functions.
+
+    Raises:
+        SonarjaxError: `count` is below 1 or `first` below 0.
     """
     if count < 1 or first < 0:
         raise SonarjaxError(f"pairs: expected a count of 1 or more from number 0 on, got {count} from {first}")
@@ -104,7 +114,7 @@ def make_pairs(
     def chunk(start: int) -> Pairs:
         return _chunk(key, jnp.uint32(start), size, settings)
 
-    parts = [chunk(starts[0]), *engine.map(chunk, starts[1:])]  # the first alone: else each thread would compile it
+    parts = [chunk(starts[0]), *engine.map(chunk, starts[1:])]  # the first alone, or each thread would compile it
     return jax.tree.map(lambda *v: jnp.concatenate(v)[:count], *parts)
 
 
@@ -121,7 +131,7 @@ def _chunk(key: Array, start: Array, size: int, settings: PairSettings) -> Pairs
 
 
 def draw_pair(settings: PairSettings, *, key: Array) -> Pairs:
-    """One pair, without the leading axis."""
+    """Draw a single pair, without the leading axis."""
     shape_key, view_key, severity_key, model_key, noise_key, box_key, odd_key = jax.random.split(key, 7)
     shape = draw_shape(key=shape_key)
     draw = draw_tank_view if settings.tank else draw_view
@@ -145,7 +155,7 @@ def draw_pair(settings: PairSettings, *, key: Array) -> Pairs:
 
 
 def _resampled(image: Array, share: float, *, key: Array) -> Array:
-    """An image (range, beam) smoothed, in this share of all draws, as by going to a fan picture and back."""
+    """Smooth an image (range, beam), with probability `share`, as if it was converted to a fan picture and back."""
     happens, width = jax.random.uniform(key, (3,))[0] < share, SMOOTHING * jax.random.uniform(key, (3,))[1:]
     for axis in (0, 1):
         place = jnp.arange(image.shape[axis])

@@ -1,4 +1,4 @@
-"""The frames behind one pair: the object alone, which the labels show, and the object among the tank's walls."""
+"""The two frames behind one pair: the object alone, which gives the labels, and the object among the tank's walls."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from sonarjax.sensor import with_skirts
 
 
 def render_scenes(mesh: Mesh, view: View, quality: RenderQuality) -> tuple[SonarFrame, SonarFrame]:
-    """Frames of the object alone, as a template has it, and of what an image is made of; `mesh` is in the ground frame.
+    """Render a pair's two frames: the object alone, as in a template, and the scene that the image shows.
 
-    The second has the walls, where there are any, and reaches beyond the aperture (see `with_skirts`). One after the
-    other through one compiled render.
+    `mesh` is in the ground frame. The second frame has the walls, if there are any, and reaches beyond the aperture
+    (see `with_skirts`). Both go through one compiled render, one after the other.
     """
 
     def rendered(scene: tuple[Array, Array]) -> SonarFrame:

@@ -1,7 +1,7 @@
-"""Views as in §3.1: a DIDSON at a tilt of Table 1, in the tank of Table 1, the object near its usual place.
+"""Views as in §3.1: a DIDSON at a tilt of Table 1, in the tank of Table 1, with the object near its usual place.
 
-Table 1 has the object 1.6 m ahead, which lies outside the aperture at 15° and 20°. It stands where lit floor is, as in
-the test frames, and is moved by the translations of Table 1.
+Table 1 puts the object 1.6 m ahead, which at 15° and 20° lies outside the aperture. Here it stands where the floor is
+lit, as in the test frames, and is displaced by the translations of Table 1.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ TRANSLATION_M = 0.15
 BEHIND_M = 0.3
 """Least distance of the far wall behind the object's origin [m]."""
 MOUNT_RAD, MOUNT_M, TURN_RAD = math.radians(0.5), 0.01, math.radians(1.0)
-"""Standard deviations: how well the head's tilt and height are set, how square it stands to the walls."""
+"""Standard deviations of the mounting: tilt [rad] and height [m] of the head, and its angle to the walls [rad]."""
 
 
 def draw_tank_view(n_ranges: int, n_beams: int, *, key: Array) -> View:
-    """A random view of §3.1 for images (n_ranges, n_beams): tilt, place, yaw, and where the walls are."""
+    """Draw a random view of §3.1 for images (n_ranges, n_beams): tilt, place, yaw, and the position of the walls."""
     stream = Stream(16, key=key)
     chosen = stream.pick((1.0, 1.0, 1.0))
     tilt = jnp.array(TILTS)[chosen] + MOUNT_RAD * stream.normal()
@@ -41,7 +41,7 @@ def draw_tank_view(n_ranges: int, n_beams: int, *, key: Array) -> View:
     window = n_ranges * DIDSON_BIN_M
     near = jnp.hypot(ahead, height) - window * stream.between(0.2, 0.6)
     length, width, depth = TANK_M
-    far = stream.between(ahead + BEHIND_M, length)  # the head hangs in the tank, somewhere before its near wall
+    far = stream.between(ahead + BEHIND_M, length)  # the head is inside the tank, somewhere before its near wall
     turned = TURN_RAD * stream.normal()
     walls = wall_vertices(jnp.array([length, width, depth]), jnp.stack([far - length / 2, jnp.zeros(())]), turned)
     place = 2 * (jnp.arange(n_beams) + 0.5) / n_beams - 1

@@ -1,7 +1,8 @@
-"""Where a pair is seen from: a sonar of the family DIDSON, ARIS, Oculus, the object's place, the tank's walls.
+"""From where a pair is seen: a sonar of the family around DIDSON, ARIS and Oculus, the object's place, the tank's
+walls.
 
-Image sizes are fixed; all that varies between devices is a traced float: the azimuth table, even or not, the range
-window, tilt, height and aperture. One compiled function draws them all.
+Image sizes are fixed. Everything that varies between devices is a traced float: beam azimuths, evenly spaced or not,
+range window, tilt, height and aperture. So one compiled function draws them all.
 """
 
 from __future__ import annotations
@@ -19,18 +20,18 @@ from sonarjax.scene.objects import TANK_M
 from sonarjax.sonar import FloorPatch, Sonar
 
 TILTS = (math.radians(15.0), math.radians(20.0), math.radians(25.0))
-"""Tilts of Table 1 [rad]; a quarter of the views has any other from 12° to 36°."""
+"""Tilts of Table 1 [rad]; a quarter of the views has another tilt between 12° and 36°."""
 TABLE_SHARE = 0.75
-"""How often the tilt is one of Table 1's, give or take 1.5°."""
+"""Probability that the tilt is one of Table 1's, give or take 1.5°."""
 DIDSON_SHARE = 0.4
-"""How often beams and bins are those of §4.1."""
+"""Probability that beams and range bins are those of §4.1."""
 DIDSON_SPACING, DIDSON_BIN_M = math.radians(29.0 / 96), 2.5 / 512
 WALLS_SHARE, PLATFORM_SHARE = 0.4, 0.1
-"""How often there are tank walls, and how often the floor is a platform a little larger than the object."""
+"""Probability that there are tank walls, and that the floor is a platform slightly larger than the object."""
 FREQUENCIES = (1.1e6, 1.8e6, 2.1e6, 3.0e6)
 """Frequencies of other devices [Hz]."""
 NO_END_M = 1e3
-"""Side of a floor without an end [m]."""
+"""Side of a floor that is endless for practical purposes [m]."""
 
 
 class View(NamedTuple):
@@ -41,13 +42,13 @@ class View(NamedTuple):
     pose: Pose
     """The object's pose."""
     walls: Float[Array, "wall 3"]
-    """Corners of the tank [m], also where there is none."""
+    """Corners of the tank [m], even if there are no walls."""
     has_walls: Bool[Array, ""]
-    """Whether there are walls."""
+    """True if there are walls."""
 
 
 def draw_view(n_ranges: int, n_beams: int, *, key: Array) -> View:
-    """A random view for images (n_ranges, n_beams); the object's origin is somewhere in it, on lit floor."""
+    """Draw a random view for images (n_ranges, n_beams), with the object's origin somewhere in it, on lit floor."""
     stream = Stream(48, key=key)
     didson = stream.happens(DIDSON_SHARE)
     azimuth = _azimuths(n_beams, didson, stream)
@@ -75,7 +76,9 @@ def draw_view(n_ranges: int, n_beams: int, *, key: Array) -> View:
 
 
 def _azimuths(n_beams: int, didson: Array, stream: Stream) -> Float[Array, "beam"]:
-    """Beam centres (beam,) [rad]: even, closer at the edges as ARIS has them, or wider there as a flat array's."""
+    """Beam centres (beam,) [rad]: evenly spaced, closer at the edges as in an ARIS, or wider there as in a flat
+    array.
+    """
     spacing = jnp.where(didson, DIDSON_SPACING, stream.log_between(math.radians(0.2), math.radians(0.5)))
     bends = jnp.stack([jnp.zeros(()), stream.between(0.0, 0.15), stream.between(-0.06, 0.0)])
     bend = jnp.where(didson, 0.0, bends[stream.pick((0.3, 0.4, 0.3))])
@@ -84,7 +87,7 @@ def _azimuths(n_beams: int, didson: Array, stream: Stream) -> Float[Array, "beam
 
 
 def _pose(azimuth: Array, tilt: Array, height: Array, aperture: Array, stream: Stream) -> tuple[Pose, Array]:
-    """The object's pose anywhere on lit floor, and the slant range [m] of its place."""
+    """The object's pose, anywhere on lit floor, and the slant range [m] of its place."""
     down = tilt + aperture * stream.between(-0.38, 0.42)
     ground = height / jnp.tan(jnp.clip(down, 0.2, 1.1))
     bearing = azimuth[-1] * stream.sometimes(0.5, stream.between(-0.3, 0.3), stream.between(-0.9, 0.9))
@@ -93,12 +96,12 @@ def _pose(azimuth: Array, tilt: Array, height: Array, aperture: Array, stream: S
 
 
 def _surroundings(pose: Pose, stream: Stream) -> tuple[Array, Array, FloorPatch]:
-    """Corners of the walls (wall, 3) [m], whether there are any, and the floor."""
+    """Corners of the walls (wall, 3) [m], whether they exist, and the floor."""
     has_walls = stream.happens(WALLS_SHARE)
     platform = stream.happens(PLATFORM_SHARE) & ~has_walls
     length, width = (side * jnp.exp(stream.between(-0.1, 0.9)) for side in TANK_M[:2])
     turned = 0.08 * stream.normal()
-    # The far wall is 0.3 m or more behind the object; the tank is moved sideways as far as that holds beside it too.
+    # The far wall is at least 0.3 m behind the object. The tank is shifted sideways while the side walls keep as far.
     far = pose.x + stream.between(0.3, 1.6)
     aside = stream.between(-0.5, 0.5) * jnp.maximum(width - 2 * (jnp.abs(pose.y) + 0.3), 0.0)
     center = jnp.stack([far - length / 2, aside])

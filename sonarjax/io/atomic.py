@@ -1,5 +1,6 @@
 """Write files, all or nothing: to a temporary file in the same folder, then renamed, so that no reader sees half a
 file.
+
 If the disk is full, the folder read-only or the target a folder, the old file stays as it was, nothing is left behind,
 and the error is a SonarjaxError of one line.
 """

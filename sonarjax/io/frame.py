@@ -29,6 +29,7 @@ class Frame:
     """Stem for the names of output files: that of the file, with `_N` for a file of several frames."""
     geometry: Geometry | None = None
     """What the file says of the sonar, under the keys of `sonar.toml` ([m], [m/s], [Hz], `_deg`: [deg]).
+
     A key is absent if the file does not give it; None means that there is no geometry at all. Possible keys:
     azimuth_deg (ascending list), range_min_m, range_max_m, n_ranges, tilt_deg (positive down), roll_deg,
     sound_speed_m_s, frequency_hz, elevation_aperture_deg.

@@ -117,6 +117,7 @@ def iter_frames(spec: str | os.PathLike[str]) -> Iterator[Frame]:
 def read_frames(spec: str | os.PathLike[str]) -> list[Frame]:
     """Read all frames (range, beam) of `path`, frame N of `path:N` (N from 0), or for a bag `path:TOPIC` or
     `path:TOPIC:N`.
+
     Endings: .npz .npy .png .aris .ddf .raw .oculus .bag .mcap .db3; for a ROS 2 bag also its folder. An unfinished last
     frame of a recording is left out. Frames of a sonar file are float32, four times the size of the file's bytes:
     `iter_frames` holds one at a time.

@@ -76,6 +76,7 @@ def bag_records(path: str, topic: str | None = None, index: int | None = None) -
 def write_bag(path: str | os.PathLike[str], frames: Iterable[Frame], topic: str = TOPIC) -> int:
     """Write frames (range, beam) as sonar images: ROS 1 in a `.bag`, ROS 2 in a `.mcap`, else ROS 2 in a bag's new
     folder.
+
     Values are rounded to 16 bits.
 
     Returns:
@@ -141,7 +142,7 @@ def _record(reader: Any, path: str, connection: Any, raw: Any, number: int, coun
         return error
     except Exception as error:  # on a damaged message rosbags raises whatever its parts raise
         return SonarjaxError(f"{source}: expected a {MESSAGE}: {reason(error)}")
-    frame.meta["n_frames"] = count
+    frame.meta.update(topic=connection.topic, n_frames=count)
     return frame
 
 

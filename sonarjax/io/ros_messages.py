@@ -1,5 +1,6 @@
 """`marine_acoustic_msgs/ProjectedSonarImage`: a ROS message to a frame, and a frame to a message. No bag is opened
 here.
+
 Conventions from the message's own comments: Z points along the middle of the fan and X up, so Y points to starboard;
 beams lie in the Y-Z plane; `ranges` are the centres of the range bins. The message's comment calls the order of pixels
 beam-major, but drivers and viewers store them range by range, beam after beam, and so does this file. It was not

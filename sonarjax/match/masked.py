@@ -16,6 +16,7 @@ from sonarjax.match.windows import window_moments
 
 NEAR_CONSTANT = 1e-6
 """A window with less than this share of the frame's energy counts as constant and scores 0.
+
 Rounding in the transform changes the score of the faintest windows that still count by up to 5e-4. Above 4e-5 of the
 frame's energy (one odd pixel in a window of a semantic map) the error stays below 1e-4.
 """

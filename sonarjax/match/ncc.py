@@ -106,6 +106,7 @@ def match_positions(
 ) -> MatchPositions:
     """Scores (yaw,) as in `match_bank`, and where each is reached: row (yaw,) and column (yaw,) of the window's
     top-left corner.
+
     Raises the same errors as `match_bank`.
 
     Args:

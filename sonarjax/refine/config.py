@@ -41,10 +41,12 @@ class RefineConfig:
     """
     margin: tuple[int, int] | None = None
     """Only the box of the start's template with this many (bins, beams) around it counts; None for the complete window.
+
     Use it for a grey image, whose floor is not an even background, with a start that is already good.
     """
     template: Template = "semantic"
     """The template that is fitted: `semantic`, `echo` or `either`.
+
     `echo` is for a frame as the device stored it. It shows shadow and floor, each facet as bright as the elevation that
     its echo collects, and the object's bounce on the floor, whose strength is also fitted (`sharpness` is not used
     then). `either` takes the template that fits the start better.

@@ -32,6 +32,7 @@ class Evidence:
     unexplained: Float[Array, "*batch"]
     """Correlation between what the map shows beyond the semantic template and what the frame shows beyond the fitted
     one.
+
     It is near 0 for the target, whose residuals are noise, and positive if both show another object.
     """
     left_over: Float[Array, "*batch"]

@@ -41,6 +41,7 @@ class PoseEstimate:
     """
     covariance: Float[Array, "*batch free free"]
     """Covariance of the free numbers' errors [m, rad], in the order of `free`, given the right basin.
+
     It comes from the curvature and the residuals of each beam. On labels of a render the standard deviations are as
     large as the errors; errors that neighbouring beams share make them too small. A number that is not observable has
     the covariance of its bounds, which also adds to the errors of the others. Infinite if nothing could be compared.

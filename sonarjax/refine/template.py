@@ -94,6 +94,7 @@ class Subject:
 def labelled(share: Float[Array, "*batch"], sharpness: Float[Array, ""]) -> Float[Array, "*batch"]:
     """Turn a class's share of a pixel into what a label image shows: all or nothing, softened to a logistic step at one
     half.
+
     Without this, a beam that is half covered pulls at the estimate, although its label only says 'all'. With it the yaw
     error on labels is halved. `sharpness` 0 leaves the share unchanged.
     """

@@ -29,6 +29,7 @@ class YawEstimate:
     """Position to port [m]."""
     yaw_std: Float[Array, "*batch"]
     """Standard deviation of yaw [rad] from the curvature and the residuals of each beam, given the right basin.
+
     On labels of a render it is as large as the errors; errors that neighbouring beams share make it too small. Infinite
     if nothing could be compared.
     """

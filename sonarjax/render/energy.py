@@ -140,6 +140,7 @@ def floor_energy(
 ) -> Float[Array, "range beam"]:
     """Energy [rad/m²] of the bare floor in each range bin: the elevations that see it between two range `edges` (edge,)
     [m].
+
     Exact in elevation: for a line at distance d from the sonar head, the point at range r is seen acos(d/r) away from
     the perpendicular.
     """

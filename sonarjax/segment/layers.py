@@ -46,6 +46,7 @@ def up(
 ) -> Float[Array, "batch twiceheight twicewidth feature"]:
     """Transposed convolution of maps (batch, height, width, channel) with stride 2: each pixel spreads over 4 × 4
     pixels.
+
     `kernel` (4, 4, feature, channel) is that of the `down` whose transpose this is: out[2i + a − 1, 2j + b − 1] sums
     kernel[a, b] · x[i, j]. Both backends give the same numbers.
 

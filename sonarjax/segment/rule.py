@@ -13,6 +13,7 @@ EVIDENCE = (
     "map_fit", "frame_fit", "coarse_fit", "unexplained", "left_over", "map_rise", "frame_rise", "frame_peak",
 )  # fmt: skip
 """What a rule may weigh: the fields of `refine.Evidence`, then three numbers from the score curves over yaw.
+
 `map_rise` is the score of the best yaw bin on the semantic map minus that of the fourth best (its neighbours share its
 peak). `frame_rise` is the same for matching the frame itself, and `frame_peak` is the best bin's score there.
 """

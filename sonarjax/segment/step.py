@@ -70,6 +70,7 @@ class GanConfig:
     """Weight of the adversarial loss in the generator's loss."""
     cross_entropy: float = 0.0
     """Weight of cross-entropy in the generator's loss, in addition to eq. 3; needs the head `classes`.
+
     With the head `tanh` cross-entropy would be 0 for any map, so `Recipe.checked` refuses it.
     """
     class_weights: tuple[float, float, float] = (1.0, 1.0, 1.0)

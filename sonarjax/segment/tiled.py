@@ -1,5 +1,6 @@
 """Tiled inference: a frame of any size through a generator that was trained on crops, then a closer look at each
 object.
+
 Tiles have the size of the frames from which training pairs are cut, so a pixel covers as much of the scene as it did in
 training. A closer look is a crop around an object that the tiles show, the main kind of training crop (see
 `data.crops.CROP_SHARES`). The network sees it once as it is and once mirrored, and the two answers are averaged.

@@ -97,6 +97,7 @@ def beam_gains(n_beams: int, std_db: Any, *, key: jax.Array) -> Float[Array, "be
 def group_gains(n_beams: int, period: Any, std_db: Any, *, key: jax.Array) -> Float[Array, "beam"]:
     """Gain (beam,) of each beam's energy, the same for every `period`-th beam; standard deviation of the groups
     `std_db` [dB].
+
     No source: a model of ours for the comb of bright and dark beams from devices that fire in groups.
     """
     group = jnp.arange(n_beams) % jnp.maximum(jnp.asarray(period), 1.0).astype(jnp.int32)

@@ -54,6 +54,7 @@ class SensorModel:
     speckle: Scalar = 1.0
     """Speckle contrast of one look [1]: standard deviation of intensity over its mean, up to 1 for fully developed
     speckle.
+
     Above 1 the values in dB spread by that factor: Weibull's law, with heavier tails than Rayleigh's.
     """
     looks: Scalar = 1.0

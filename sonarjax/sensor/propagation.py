@@ -47,6 +47,7 @@ def time_varied_gain(
 ) -> Float[Array, "*batch"]:
     """Gain of an echo's energy: (r/reference)^exponent, and compensation for two-way absorption. It is 1 at
     `reference`.
+
     An exponent of 4 is '40 log r', for points. An exponent of 3 is '30 log r', for surfaces, whose echoing area grows
     with range (Urick, 1983, ch. 8).
 
@@ -63,6 +64,7 @@ def time_varied_gain(
 def elevation_gain(offset: Float[Array, "*batch"], aperture: Any, skirt: Any) -> Float[Array, "*batch"]:
     """Two-way gain (...) at an elevation `offset` (...) [rad] from the beam axis: flat, then −3 dB at half the
     `aperture` [rad].
+
     Beyond it the gain falls by `skirt` [dB per degree]. No source for the curve: a logistic curve in dB, a model of
     ours for a lens, which has a flat top and steep skirts instead of a line array's sinc². Skirts of 10 to 14 are those
     of a public fit to an ARIS 3000, whose author is not on record.
@@ -74,6 +76,7 @@ def elevation_gain(offset: Float[Array, "*batch"], aperture: Any, skirt: Any) ->
 def with_skirts(sonar: Sonar) -> Sonar:
     """The sonar with `SKIRT` more aperture above and below: `observe_scene` renders it before it applies
     `elevation_gain`.
+
     A template ends sharply at the aperture, but an image fades out there. No source: a choice of ours.
     """
     return sonar.replace(elevation_aperture=sonar.elevation_aperture + 2 * SKIRT)
@@ -125,6 +128,7 @@ def reference_energy(sonar: Sonar) -> Float[Array, ""]:
 def pulse_blur(image: Float[Array, "range beam"], pulse_bins: Any) -> Float[Array, "range beam"]:
     """Spread energy (range, beam) evenly over a pulse of `pulse_bins` range bins, 1 to 9; a pulse of one bin changes
     nothing.
+
     At any moment a pulse of duration τ echoes from cτ/2 of range (Urick, 1983, ch. 8); its envelope is taken as a box.
     The weights sum to one. Energy from beyond the window is taken to equal that of the outermost bins.
     """

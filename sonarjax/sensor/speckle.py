@@ -86,6 +86,7 @@ def speckle_intensity(field: Float[Array, "part range beam"], diffuse: Any = 1.0
 def heavy_tails(intensity: Float[Array, "range beam"], power: Any) -> Float[Array, "range beam"]:
     """Raise `intensity` (range, beam) to `power` and scale it to mean 1: exponential intensity becomes Weibull, shape
     1/power.
+
     The standard deviation in dB is `power` times Rayleigh's 5.57 dB. The amplitude's law has the shape 2/power; on the
     bottom of real Oculus frames that is 1.7. Weibull clutter: Sekine and Mao, Weibull Radar Clutter (1990).
     """

@@ -6,14 +6,14 @@ Traced values (under jit, grad or vmap) are skipped, because their numbers are n
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import numpy as np
 
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.header import RANGE_LIMIT_M
-from sonarjax.sonar.model import GeometryStd, Sonar
+from sonarjax.sonar.parts import GeometryStd
 
 MAX_RANGES = 100_000
 """More range bins than any device stores; a larger number is taken for a mistake."""
@@ -29,6 +29,8 @@ FLOOR_LIMIT_M = 1e5
 """Largest coordinate and side of a floor patch [m]; a patch beyond the farthest range is as good as endless."""
 SMALLEST = float(np.finfo(np.float32).tiny)
 """Numbers smaller than this are 0 in the renderer's arithmetic."""
+
+S = TypeVar("S")  # `Sonar`, which this file does not import: it would be a circle
 
 
 class _Rule(NamedTuple):
@@ -69,7 +71,7 @@ _STD_RULES = tuple(
 )
 
 
-def check_sonar(sonar: Sonar, source: str, names: Mapping[str, str] | None = None) -> Sonar:
+def check_sonar(sonar: S, source: str, names: Mapping[str, str] | None = None) -> S:
     """Return `sonar` unchanged if every value is possible; `source` and `names` (field -> key) appear in messages.
 
     Traced values are not checked.
@@ -79,21 +81,22 @@ def check_sonar(sonar: Sonar, source: str, names: Mapping[str, str] | None = Non
             ascend; there are too many pixels; or the range window ends before it starts, or has range bins too short
             for float32. The message names the first such field.
     """
+    checked: Any = sonar
     names = names or {}
     for rule in _RULES:
-        _check_number(getattr(sonar, rule.field), rule, source, names.get(rule.field, rule.field))
-    if sonar.floor is not None:
+        _check_number(getattr(checked, rule.field), rule, source, names.get(rule.field, rule.field))
+    if checked.floor is not None:
         for rule in _FLOOR_RULES:
             field = f"floor.{rule.field}"
-            _check_number(getattr(sonar.floor, rule.field), rule, source, names.get(field, field))
-    if sonar.geometry_std is not None:
+            _check_number(getattr(checked.floor, rule.field), rule, source, names.get(field, field))
+    if checked.geometry_std is not None:
         for rule in _STD_RULES:
             field = f"geometry_std.{rule.field}"
-            _check_number(getattr(sonar.geometry_std, rule.field), rule, source, names.get(field, field))
-    check_count(sonar.n_ranges, source, names.get("n_ranges", "n_ranges"))
-    check_azimuth(sonar.azimuth, source, names.get("azimuth", "azimuth"))
-    _check_pixels(sonar, source)
-    _check_window(sonar, source, names)
+            _check_number(getattr(checked.geometry_std, rule.field), rule, source, names.get(field, field))
+    check_count(checked.n_ranges, source, names.get("n_ranges", "n_ranges"))
+    check_azimuth(checked.azimuth, source, names.get("azimuth", "azimuth"))
+    _check_pixels(checked, source)
+    _check_window(checked, source, names)
     return sonar
 
 
@@ -150,7 +153,7 @@ def check_azimuth(azimuth: Any, source: str, name: str = "azimuth") -> None:
         raise SonarjaxError(f"{source}: {name} must strictly ascend, but beam {wrong[0] + 1} does not")
 
 
-def _check_pixels(sonar: Sonar, source: str) -> None:
+def _check_pixels(sonar: Any, source: str) -> None:
     beams, ranges = sonar.n_beams, int(sonar.n_ranges)
     if beams * ranges > MAX_PIXELS:
         raise SonarjaxError(
@@ -158,7 +161,7 @@ def _check_pixels(sonar: Sonar, source: str) -> None:
         )
 
 
-def _check_window(sonar: Sonar, source: str, names: Mapping[str, str]) -> None:
+def _check_window(sonar: Any, source: str, names: Mapping[str, str]) -> None:
     if _traced(sonar.range_min, sonar.range_max):
         return
     near, far = np.asarray(sonar.range_min, np.float64), np.asarray(sonar.range_max, np.float64)

@@ -2,60 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import field, replace
+from collections.abc import Mapping
+from dataclasses import field, fields, replace
 from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from sonarjax.io.toml import read_toml
 from sonarjax.records import record
-
-Scalar = Any
-
-
-@record
-class FloorPatch:
-    """A rectangular platform at z = 0 instead of an endless floor; lengths [m], angles [rad] in the ground frame."""
-
-    x: Scalar
-    """Forward position of its centre [m]."""
-    y: Scalar
-    """Position to port of its centre [m]."""
-    length: Scalar
-    """Side along its own x axis [m]."""
-    width: Scalar
-    """Side along its own y axis [m]."""
-    yaw: Scalar = 0.0
-    """Rotation about the vertical [rad]."""
-
-
-@record
-class GeometryStd:
-    """How well a sonar's geometry is known: standard deviations, for example from a calibration; 0 where none is
-    stated.
-    `range_scale`, `azimuth_scale`, `beam_bend` and `beam_skew` are the parameters of that name in
-    `sonarjax.calibrate.PARAMETERS`.
-    """
-
-    tilt: Scalar = 0.0
-    """Standard deviation of the tilt [rad]."""
-    roll: Scalar = 0.0
-    """Standard deviation of the roll [rad]."""
-    height: Scalar = 0.0
-    """Standard deviation of the height [m]."""
-    elevation_aperture: Scalar = 0.0
-    """Standard deviation of the vertical aperture [rad]."""
-    range_offset: Scalar = 0.0
-    """Standard deviation of an offset of all ranges [m]."""
-    range_scale: Scalar = 0.0
-    """Standard deviation of a factor on all ranges [1]."""
-    azimuth_scale: Scalar = 0.0
-    """Standard deviation of a factor on all beam angles [1]."""
-    beam_bend: Scalar = 0.0
-    """Standard deviation of uneven beam spacing that is symmetric about the axis [1]."""
-    beam_skew: Scalar = 0.0
-    """Standard deviation of uneven beam spacing that differs from port to starboard [1]."""
+from sonarjax.sonar.check import check_sonar
+from sonarjax.sonar.parts import FloorPatch, GeometryStd, Scalar, beam_edges
+from sonarjax.sonar.presets import preset_fields
+from sonarjax.sonar.toml import KEYS, check_beams, table_fields, write_sonar
 
 
 @record
@@ -117,9 +77,8 @@ class Sonar:
         >>> Sonar.preset("didson-hf", n_ranges=256).shape
         (256, 96)
         """
-        from sonarjax.sonar.presets import preset
-
-        return preset(name, **overrides)
+        values = preset_fields(name, overrides, [one.name for one in fields(cls)])
+        return check_sonar(cls(**values), f"preset {name}")
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Sonar:
@@ -129,9 +88,7 @@ class Sonar:
             SonarjaxError: A key is unknown or missing, or a value is impossible. The message names the file and the
                 key.
         """
-        from sonarjax.sonar.toml import read_sonar
-
-        return read_sonar(path)
+        return sonar_from_dict(read_toml(path), str(path))
 
     def to_toml(self, path: str | Path) -> None:
         """Write a `sonar.toml` that `from_toml` reads back as the same sonar.
@@ -139,8 +96,6 @@ class Sonar:
         Raises:
             SonarjaxError: A value is impossible, traced or batched, or the file cannot be written.
         """
-        from sonarjax.sonar.toml import write_sonar
-
         write_sonar(self, path)
 
     def replace(self, **changes: Any) -> Sonar:
@@ -173,9 +128,25 @@ class Sonar:
 
         Inner edges lie midway between beam centres. An outer edge is as far from its centre as that beam's inner edge.
         """
-        centers = jnp.asarray(self.azimuth)
-        if centers.shape[-1] == 1:
-            half = jnp.maximum(jnp.asarray(self.beam_width, jnp.float32), 1e-4) / 2
-            return jnp.concatenate([centers - half, centers + half])
-        middle = (centers[1:] + centers[:-1]) / 2
-        return jnp.concatenate([2 * centers[:1] - middle[:1], middle, 2 * centers[-1:] - middle[-1:]])
+        return beam_edges(self.azimuth, self.beam_width)
+
+
+def sonar_from_dict(table: Mapping[str, Any], source: str) -> Sonar:
+    """Make a sonar from a parsed `sonar.toml`.
+
+    If `n_beams` or `field_of_view_deg` differs from the preset's, the beams are evenly spaced; if only one of the two
+    is given, the other is the preset's.
+
+    Args:
+        table: Keys and values of the file.
+        source: Name of the file in error messages.
+
+    Returns:
+        The sonar. Its azimuth is float32 (beam,) [rad]; other fields are Python floats [m, rad].
+
+    Raises:
+        SonarjaxError: A key is unknown or missing, a type is wrong, a value is impossible, or the beams do not agree.
+    """
+    sonar = check_sonar(Sonar(**table_fields(table, source)), source, KEYS)
+    check_beams(table, sonar.azimuth, source)
+    return sonar

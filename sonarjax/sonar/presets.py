@@ -1,5 +1,4 @@
-"""Imaging sonars by name: `preset("didson-hf", tilt=0.35)` gives a `Sonar`, `PRESETS` lists the devices.
-
+"""Imaging sonars by name: `Sonar.preset("didson-hf", tilt=0.35)` uses them, `PRESETS` lists the devices.
 A name stands for a device: beams, aperture and frequency. All presets are mounted in the paper's tank (Table 1 and
 §4.1): tilt 15°, 0.9 m above the floor, window 1.5–4.0 m in 512 bins. Where a recording's own header or a `sonar.toml`
 gives beam angles, prefer them to the idealised ones here.
@@ -8,7 +7,8 @@ gives beam angles, prefer them to the idealised ones here.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -18,8 +18,7 @@ from jaxtyping import Array, Float, Float64
 
 from sonarjax.io.aris_beams import ARIS_1200, ARIS_1800, ARIS_3000, aris_azimuth_deg
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.sonar.check import check_azimuth, check_count, check_sonar
-from sonarjax.sonar.model import Sonar
+from sonarjax.sonar.check import check_azimuth, check_count
 
 TILT = math.radians(15.0)
 """Tilt of every preset, the shallowest of Table 1 [rad]."""
@@ -54,17 +53,17 @@ class Device:
     aperture_deg: float = 14.0
     """Full vertical width of the beam [deg]."""
 
-    def sonar(self) -> Sonar:
-        """The device in the paper's tank."""
-        return Sonar(
-            azimuth=azimuth_from_deg(self.azimuth_deg),
-            range_min=WINDOW_M[0],
-            range_max=WINDOW_M[1],
-            elevation_aperture=math.radians(self.aperture_deg),
-            tilt=TILT,
-            height=HEIGHT_M,
-            frequency=self.frequency,
-        )
+    def fields(self) -> dict[str, Any]:
+        """Fields of a `Sonar`: the device in the paper's tank."""
+        return {
+            "azimuth": azimuth_from_deg(self.azimuth_deg),
+            "range_min": WINDOW_M[0],
+            "range_max": WINDOW_M[1],
+            "elevation_aperture": math.radians(self.aperture_deg),
+            "tilt": TILT,
+            "height": HEIGHT_M,
+            "frequency": self.frequency,
+        }
 
 
 def _aris(system: int, n_beams: int, frequency: float) -> Device:
@@ -93,24 +92,30 @@ def azimuth_from_deg(degrees: Any) -> Float[Array, "beam"]:
     return jnp.asarray(np.radians(np.asarray(degrees, np.float64)), jnp.float32)
 
 
-def preset(name: str, **overrides: Any) -> Sonar:
-    """Make the device `name` of `PRESETS`, with fields of `Sonar` replaced by `overrides` (metres and radians).
+def preset_fields(name: str, overrides: Mapping[str, Any], known: Sequence[str]) -> dict[str, Any]:
+    """Fields of a `Sonar` for the device `name` of `PRESETS`, with some replaced (metres and radians).
+
+    Args:
+        name: Name of the device.
+        overrides: Values by field.
+        known: Names of all fields of a `Sonar`.
 
     Raises:
-        SonarjaxError: The name or a field is unknown (the message lists the known ones), or a value is impossible.
+        SonarjaxError: The name or a field is unknown (the message lists the known ones), or the number of ranges or the
+            azimuths are impossible. Other values are left to `check_sonar`.
     """
     if not isinstance(name, str) or name not in PRESETS:
         raise SonarjaxError(f"unknown sonar preset {name!r}, expected one of: {', '.join(PRESETS)}")
-    known = [field.name for field in fields(Sonar)]
     unknown = [field for field in overrides if field not in known]
     if unknown:
         raise SonarjaxError(f"preset {name}: unknown field {', '.join(unknown)}, expected one of: {', '.join(known)}")
     # Unlike the other fields these two are not plain floats, so they are checked before a `Sonar` is made of them.
     if "n_ranges" in overrides:
         check_count(overrides["n_ranges"], f"preset {name}")
+    values = PRESETS[name].fields() | dict(overrides)
     if "azimuth" in overrides:
-        overrides["azimuth"] = _as_azimuth(overrides["azimuth"], f"preset {name}")
-    return check_sonar(PRESETS[name].sonar().replace(**overrides), f"preset {name}")
+        values["azimuth"] = _as_azimuth(overrides["azimuth"], f"preset {name}")
+    return values
 
 
 def _as_azimuth(value: Any, source: str) -> Float[Array, "beam"]:

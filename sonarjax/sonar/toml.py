@@ -18,9 +18,8 @@ from jaxtyping import Array, Float
 
 from sonarjax.io.atomic import write_text
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.io.toml import read_toml
 from sonarjax.sonar.check import MAX_BEAMS, MAX_RANGES, as_numbers, check_sonar
-from sonarjax.sonar.model import FloorPatch, GeometryStd, Sonar
+from sonarjax.sonar.parts import FloorPatch, GeometryStd, beam_edges
 from sonarjax.sonar.presets import PRESETS, azimuth_from_deg, even_beams
 
 _FIELDS = {
@@ -55,39 +54,19 @@ _KEPT_IN_DEGREES = {"highlight_max_incidence_deg"}
 _REQUIRED = ("range_min_m", "range_max_m", "n_ranges", "elevation_aperture_deg", "tilt_deg", "height_m")
 _BEAM_KEYS = ("azimuth_deg", "n_beams", "field_of_view_deg")
 _KNOWN = ("preset", *_BEAM_KEYS, "n_ranges", *_FIELDS, "floor", "geometry_std")
-_NAMES = (
+KEYS = (
     {field: key for key, field in _FIELDS.items()}
     | {f"floor.{field}": f"floor.{key}" for key, field in _FLOOR_FIELDS.items()}
     | {f"geometry_std.{field}": f"geometry_std.{key}" for key, field in _STD_FIELDS.items()}
     | {"azimuth": "azimuth_deg"}
 )
+"""Field of a `Sonar` -> its key in the file, for messages."""
 
 
-def read_sonar(path: str | Path) -> Sonar:
-    """Read the sonar from a `sonar.toml`.
+def table_fields(table: Mapping[str, Any], source: str) -> dict[str, Any]:
+    """The fields of a `Sonar` in the units of `Sonar`, from a parsed `sonar.toml`; see `sonar_from_dict`.
 
-    Raises:
-        SonarjaxError: The file is missing, a folder, not UTF-8 or not TOML, or `sonar_from_dict` refuses what it holds.
-            The message names the file and the key.
-    """
-    return sonar_from_dict(read_toml(path), str(path))
-
-
-def sonar_from_dict(table: Mapping[str, Any], source: str) -> Sonar:
-    """Make a sonar from a parsed `sonar.toml`.
-
-    If `n_beams` or `field_of_view_deg` differs from the preset's, the beams are evenly spaced; if only one of the two
-    is given, the other is the preset's.
-
-    Args:
-        table: Keys and values of the file.
-        source: Name of the file in error messages.
-
-    Returns:
-        The sonar. Its azimuth is float32 (beam,) [rad]; other fields are Python floats [m, rad].
-
-    Raises:
-        SonarjaxError: A key is unknown or missing, a type is wrong, a value is impossible, or the beams do not agree.
+    Values are not checked against what a device can have, only their types; see `check_sonar` and `check_beams`.
     """
     _refuse_unknown(table, _KNOWN, source)
     base = _preset(table, source)
@@ -103,18 +82,16 @@ def sonar_from_dict(table: Mapping[str, Any], source: str) -> Sonar:
     values["azimuth"] = _azimuth(table, base, source)
     if values["azimuth"].size == 1 and "field_of_view_deg" in table:
         values.setdefault("beam_width", math.radians(table["field_of_view_deg"]))
-    sonar = check_sonar(base.replace(**values) if base else Sonar(**values), source, _NAMES)
-    _check_beams(table, sonar, source)
-    return sonar
+    return (base or {}) | values
 
 
-def write_sonar(sonar: Sonar, path: str | Path) -> None:
-    """Write a `sonar.toml` in one step; `read_sonar` reads it back as the same sonar.
+def write_sonar(sonar: Any, path: str | Path) -> None:
+    """Write the fields of a `Sonar` to a `sonar.toml` in one step; it reads back as the same sonar.
 
     Raises:
         SonarjaxError: A value is impossible, traced or batched, or the file cannot be written.
     """
-    check_sonar(sonar, f"{path}: cannot write this sonar", _NAMES)
+    check_sonar(sonar, f"{path}: cannot write this sonar", KEYS)
     lines = ["# Metres; degrees where the key says _deg."]
     lines.append(f"azimuth_deg = [{', '.join(map(repr, _azimuth_deg(sonar, path)))}]")
     lines.append(f"n_ranges = {int(sonar.n_ranges)}")
@@ -129,7 +106,7 @@ def write_sonar(sonar: Sonar, path: str | Path) -> None:
     write_text(path, "\n".join(lines) + "\n")
 
 
-def _azimuth_deg(sonar: Sonar, path: str | Path) -> list[float]:
+def _azimuth_deg(sonar: Any, path: str | Path) -> list[float]:
     angles = as_numbers(sonar.azimuth)
     if angles is None:
         raise SonarjaxError(f"{path}: azimuth_deg is traced and cannot be written to a file")
@@ -156,13 +133,13 @@ def _refuse_unknown(table: Mapping[str, Any], known: Iterable[str], source: str)
             raise SonarjaxError(f"{source}: unknown key {key!r}, {hint}")
 
 
-def _preset(table: Mapping[str, Any], source: str) -> Sonar | None:
+def _preset(table: Mapping[str, Any], source: str) -> dict[str, Any] | None:
     if "preset" not in table:
         return None
     name = table["preset"]
     if not isinstance(name, str) or name not in PRESETS:
         raise SonarjaxError(f"{source}: unknown preset {_shown(name)}, expected one of: {', '.join(PRESETS)}")
-    return PRESETS[name].sonar()
+    return PRESETS[name].fields()
 
 
 def _require(table: Mapping[str, Any], source: str) -> None:
@@ -228,7 +205,7 @@ def _geometry_std(table: Any, source: str) -> GeometryStd:
     return GeometryStd(**_numbers(table, _STD_FIELDS, source, "geometry_std."))
 
 
-def _azimuth(table: Mapping[str, Any], base: Sonar | None, source: str) -> Float[Array, "beam"]:
+def _azimuth(table: Mapping[str, Any], base: dict[str, Any] | None, source: str) -> Float[Array, "beam"]:
     """Beam centres (beam,) [rad] from the list, or else from the number of beams and the field of view."""
     n_beams = _whole(table, "n_beams", MAX_BEAMS, source) if "n_beams" in table else None
     view = None
@@ -239,10 +216,10 @@ def _azimuth(table: Mapping[str, Any], base: Sonar | None, source: str) -> Float
     if "azimuth_deg" in table:
         return _listed_azimuth(table["azimuth_deg"], source)
     if base is not None:
-        own = _field_of_view_deg(base)
-        n_beams, view = n_beams or base.n_beams, view or own
-        if n_beams == base.n_beams and math.isclose(view, own, rel_tol=1e-3):
-            return base.azimuth  # the preset's own beams, even or not
+        own, count = _field_of_view_deg(base["azimuth"]), base["azimuth"].size
+        n_beams, view = n_beams or count, view or own
+        if n_beams == count and math.isclose(view, own, rel_tol=1e-3):
+            return base["azimuth"]  # the preset's own beams, even or not
     assert n_beams is not None  # `_require` has checked that both are given
     assert view is not None
     return azimuth_from_deg(even_beams(n_beams, view))
@@ -254,19 +231,23 @@ def _listed_azimuth(value: Any, source: str) -> Float[Array, "beam"]:
     return azimuth_from_deg([_number(v, f"azimuth_deg[{i}]", source) for i, v in enumerate(value)])
 
 
-def _field_of_view_deg(sonar: Sonar) -> float:
-    """Angle between the outer edges of the outer beams [deg]."""
-    edges = sonar.azimuth_edges
+def _field_of_view_deg(azimuth: Any) -> float:
+    """Angle between the outer edges of the outer beams [deg], of two or more beams."""
+    edges = beam_edges(azimuth, 0.0)
     return math.degrees(float(edges[-1] - edges[0]))
 
 
-def _check_beams(table: Mapping[str, Any], sonar: Sonar, source: str) -> None:
-    """Check that `n_beams` and `field_of_view_deg` agree with `azimuth_deg`, the latter to within one beam."""
+def check_beams(table: Mapping[str, Any], azimuth: Any, source: str) -> None:
+    """Raise a SonarjaxError unless `n_beams` and `field_of_view_deg` agree with the listed `azimuth` (beam,) [rad].
+
+    The field of view need only agree to within one beam.
+    """
     if "azimuth_deg" not in table:
         return
-    if "n_beams" in table and table["n_beams"] != sonar.n_beams:
-        raise SonarjaxError(f"{source}: n_beams is {table['n_beams']}, but azimuth_deg lists {sonar.n_beams} beams")
-    if "field_of_view_deg" in table and sonar.n_beams > 1:
-        listed, view = _field_of_view_deg(sonar), float(table["field_of_view_deg"])
-        if abs(listed - view) > listed / sonar.n_beams:
+    count = len(azimuth)
+    if "n_beams" in table and table["n_beams"] != count:
+        raise SonarjaxError(f"{source}: n_beams is {table['n_beams']}, but azimuth_deg lists {count} beams")
+    if "field_of_view_deg" in table and count > 1:
+        listed, view = _field_of_view_deg(azimuth), float(table["field_of_view_deg"])
+        if abs(listed - view) > listed / count:
             raise SonarjaxError(f"{source}: field_of_view_deg is {view:g}, but azimuth_deg spans {listed:.2f}")

@@ -126,6 +126,7 @@ def nothing_known(config: TrackConfig) -> Belief:
 def step(belief: Belief, measurement: Measurement, numbers: Numbers) -> Belief:
     """Update the belief by one more frame: predict it over `elapsed`, to the sonar's present pose, then apply the
     measurement.
+
     The yaw of every component stays in [0, 2π). If all hypotheses of `measurement` have weight -inf, the belief is only
     predicted.
     """

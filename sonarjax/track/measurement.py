@@ -41,6 +41,7 @@ class Mode:
     """Covariance (state, state) of yaw, x, y and rate."""
     yaw_std: float
     """Half of the interval around `yaw` that holds 68 % of this mode [rad], as a normal standard deviation does.
+
     Because of the tails, the square root of the covariance's entry is larger.
     """
     probability: float

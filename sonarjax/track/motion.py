@@ -56,6 +56,7 @@ class TrackConfig:
     """Difference in score that makes a hypothesis e times less likely [NCC]."""
     memory: float = 8.0
     """Number of frames over which evidence for one hypothesis against another accumulates; older evidence fades.
+
     Errors of neighbouring frames are alike. Hundreds of frames that slightly prefer one of two equal hypotheses must
     therefore not decide, and a belief that was right for hundreds of frames must still be able to change.
     """

@@ -11,7 +11,7 @@ from sonarjax.io.errors import SonarjaxError
 from sonarjax.render import RenderQuality, render
 from sonarjax.scene import Mesh, Pose, objects
 from sonarjax.sonar import Sonar
-from sonarjax.sonar.model import FloorPatch
+from sonarjax.sonar.parts import FloorPatch
 
 HEIGHT = 0.9
 APERTURE = math.radians(14.0)

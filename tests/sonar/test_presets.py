@@ -10,7 +10,6 @@ import pytest
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.sonar import PRESETS, FloorPatch, Sonar
 from sonarjax.sonar.check import check_sonar
-from sonarjax.sonar.presets import preset
 
 DEVICES = {  # beams, frequency [Hz], vertical aperture [deg]
     "didson-hf": (96, 1.8e6, 14.0),
@@ -83,19 +82,21 @@ def test_oculus_is_even_in_the_sine():
 
 
 def test_overrides_are_fields_of_sonar():
-    sonar = preset("didson-hf", tilt=0.35, n_ranges=100, azimuth=[-0.1, 0.0, 0.2], floor=FloorPatch(2.0, 0.0, 1.0, 1.0))
+    sonar = Sonar.preset(
+        "didson-hf", tilt=0.35, n_ranges=100, azimuth=[-0.1, 0.0, 0.2], floor=FloorPatch(2.0, 0.0, 1.0, 1.0)
+    )
     assert sonar.shape == (100, 3)
     assert sonar.tilt == 0.35
     assert sonar.azimuth.dtype == jnp.float32
     assert sonar.floor.x == 2.0
-    assert preset("didson-hf").tilt != 0.35  # nothing is shared
+    assert Sonar.preset("didson-hf").tilt != 0.35  # nothing is shared
 
 
 def test_traced_and_batched_overrides():
-    assert jax.grad(lambda tilt: preset("didson-hf", tilt=tilt, height=2 * tilt).height)(0.3) == 2.0
+    assert jax.grad(lambda tilt: Sonar.preset("didson-hf", tilt=tilt, height=2 * tilt).height)(0.3) == 2.0
     azimuth = jnp.array([-0.1, 0.1])
-    assert jax.jit(lambda a: preset("didson-hf", azimuth=a).azimuth_edges)(azimuth).shape == (3,)
-    assert preset("didson-hf", tilt=jnp.array([0.2, 0.3])).tilt.shape == (2,)
+    assert jax.jit(lambda a: Sonar.preset("didson-hf", azimuth=a).azimuth_edges)(azimuth).shape == (3,)
+    assert Sonar.preset("didson-hf", tilt=jnp.array([0.2, 0.3])).tilt.shape == (2,)
 
 
 def test_unknown_name_lists_the_known():
