@@ -24,13 +24,14 @@ import sonarjax as sj
 from experiments.common.at_place import bank_with, judged_at_place, only, scores_at_place
 from experiments.common.frames import TILTS_DEG, TestFrame, paper_frames
 from experiments.common.launch import Report, launch
+from experiments.common.maps import map_metrics
 from experiments.common.metrics import WITHIN_BIN_DEG, columns, summary_deg, yaw_error_deg
 from experiments.common.recognizers import recognizers, unrefined
 from experiments.common.runs import Job, code_digest
-from experiments.common.scores import recognize_all, target
-from experiments.common.segmenters import Name, map_of, threshold_of
+from experiments.common.scores import Found, recognize_all, summary_of
+from experiments.common.segmenters import Name, available, map_of, threshold_of
+from experiments.common.sets import SETS, frames_of, target
 from experiments.common.trainings import SIZES, VARIANTS, Trainings, share_pairs, train
-from experiments.evaluate_segmenters import row
 from sonarjax.sensor import SensorModel
 
 Measures = dict[str, dict[str, Any]]
@@ -54,14 +55,22 @@ PARTS: dict[str, dict[str, float]] = {
 }
 """What is changed in the nominal sensor model to switch off each of its parts."""
 RECOGNIZED = {
-    "score_own": "NCC own",
-    "score_target": "mean score of targets",
-    "score_other": "of the other object",
-    "iou": "IoU",
-    "psnr": "PSNR [dB]",
-    "accuracy": "accuracy",
-    "best_accuracy": "at the test-optimal threshold",
-    "bin_right": "yaw bin right",
+    "accuracy": "accuracy: target frames identified with the right yaw bin and others refused, threshold fixed",
+    "best_accuracy": "best: the same at the threshold that is best on these very frames, as in the paper's 0.9201",
+    "bin_right": "bin: target frames whose best template, turned to where it was found, is within 5.5° of the yaw",
+    "identification": "identification: frames of both objects on the right side of the threshold",
+    "score_own": "NCC own: mean correlation (eq. 4) of target frames with the template of their own yaw bin",
+    "score_target": "NCC best: the same with the best of the templates",
+    "score_other": "NCC other: mean correlation of the other object's frames with the best of the templates",
+    "score_other_largest": "largest: the largest of those",
+    "iou": "IoU: of the 128 × 128 crop's labels, all frames together, mean of highlight and shadow",
+    "psnr": "PSNR: of the map on that crop against the true map [dB], mean over frames",
+    "psnr_gain": "gain: that, less the PSNR of the raw crop [dB]",
+    "psnr_gain_wide": "gain, wide: the gain on crops of twice the margin around the object [dB]",
+}
+REFINED = {
+    "yaw_median": "yaw median: yaw error of targets [°]; of offset yaws refined, on the map first, then on the frame",
+    "yaw_p95": "yaw 95 %: its 95th percentile [°]",
 }
 MATCHED = {
     "best_accuracy": "accuracy at the test-optimal threshold",
@@ -77,7 +86,7 @@ BINNED = {
     "bin_mean": "mean",
     "bin_rms": "RMS",
     "bin_p95": "95 %",
-    "floor_mean": "floor: median, mean",
+    "floor_mean": "floor, median and mean",
     "floor_rms": "RMS",
     "floor_p95": "95 %",
     "yaw_astray": "refined, over 20° off",
@@ -110,7 +119,7 @@ class Sweep(NamedTuple):
     measure: Callable[[Study, Any], Measures]
     """What is measured at one of them."""
     columns: Mapping[str, str]
-    """What the table shows of that, with its heads."""
+    """What the table shows of that: its head, and behind a colon what it means."""
     maps: Sequence[Name]
     """What is matched: truth is the true map, none the raw frame, else a segmenter's map."""
     step_deg: int
@@ -120,16 +129,22 @@ class Sweep(NamedTuple):
 
 
 SWEEPS = {
+    # What is each segmenter worth, in depth? Each set is like the first but for one thing (`common/sets.py`).
+    "frames": Sweep(
+        "frames", tuple(SETS), lambda study, name: recognized(study, study.of_set(name), refine=name == "offset yaw"),
+        RECOGNIZED | REFINED, available(), 10,
+    ),
     # How does recognition fall as the sonar gets worse? Severity 1 is calibrated to the paper's frames, training saw 0
     # to 2, and thresholds are those of 1: what a user meets whose sonar is worse or better.
     "severity": Sweep(
-        "severity", (0.0, 0.5, 1.0, 1.5, 2.0, 3.0), lambda study, value: recognized(study, SensorModel.nominal(value)),
+        "severity", (0.0, 0.5, 1.0, 1.5, 2.0, 3.0),
+        lambda study, value: recognized(study, study.draw(SensorModel.nominal(value))),
         RECOGNIZED, ("pix2pix", "none", "otsu"), 20,
     ),
     # Which part of the sensor makes its frames hard? Each is switched off alone, all random draws of the others
     # unchanged, at last all of them. On the raw frames, the correlation is theirs.
     "sensor": Sweep(
-        "switched off", (NOTHING, *PARTS, EVERYTHING), lambda study, part: recognized(study, without(part)),
+        "switched off", (NOTHING, *PARTS, EVERYTHING), lambda study, part: recognized(study, study.draw(without(part))),
         RECOGNIZED, ("none", "pix2pix"), 30,
     ),
     # What carries the match? Of a map, the half that the templates lack is taken away; of a raw frame nothing can be.
@@ -166,7 +181,7 @@ SWEEPS = {
 class Settings(Trainings):
     """What is varied, and on what."""
 
-    vary: Literal["severity", "sensor", "template", "tilt", "distance", "yaw_bin", "training"] = "severity"
+    vary: Literal["frames", "severity", "sensor", "template", "tilt", "distance", "yaw_bin", "training"] = "severity"
     """What is varied."""
     values: tuple[str, ...] = ()
     """Some of its values: numbers or names; without, those of the table, of training those with all the pairs."""
@@ -215,12 +230,20 @@ class Study:
         if settings.vary == "training":
             share_pairs(self.pairs, settings, job.seed)
 
+    @property
+    def step_deg(self) -> int:
+        """Yaw step of each set [deg]."""
+        return self.settings.step_deg or self.sweep.step_deg
+
     def draw(self, model: SensorModel | None = None) -> list[TestFrame]:
         """The frames of §4.1, of the nominal sensor or of `model`."""
-        step = self.settings.step_deg or self.sweep.step_deg
+        step, tilts = self.step_deg, self.settings.tilts_deg
         offset = step / 2 if self.sweep.anywhere else 0.0
-        tilts = self.settings.tilts_deg
         return paper_frames(self.job.seed, step_deg=step, yaw_offset_deg=offset, model=model, tilts_deg=tilts)
+
+    def of_set(self, name: str) -> list[TestFrame]:
+        """The frames of a set."""
+        return frames_of(name, self.job.seed, self.step_deg, self.settings.tilts_deg)
 
     @cached_property
     def frames(self) -> list[TestFrame]:
@@ -244,7 +267,7 @@ def run(settings: Settings, job: Job) -> Report:
     return {"vary": settings.vary, "rows": rows}
 
 
-# ---------------------------------------------------------------- another sensor
+# ---------------------------------------------------------------- other frames, another sensor
 
 
 def without(part: str) -> SensorModel:
@@ -253,10 +276,20 @@ def without(part: str) -> SensorModel:
     return replace(SensorModel.nominal(), **changes, **PARTS.get(part, {}))
 
 
-def recognized(study: Study, model: SensorModel) -> Measures:
-    """What is recognized in frames of a sensor."""
-    frames = study.draw(model)
-    return {name: row(recognize_all(frames, name), frames) for name in study.names}
+def recognized(study: Study, frames: list[TestFrame], refine: bool = False) -> Measures:
+    """What is recognized in frames, and how good the maps are."""
+    return {name: _row(recognize_all(frames, name, refine=refine), frames) for name in study.names}
+
+
+def _row(found: Found, frames: list[TestFrame]) -> dict[str, float]:
+    own = [_own_score(result, frame) for result, frame in zip(found.results, frames, strict=True) if frame.is_target]
+    maps = map_metrics([result.semantic for result in found.results], frames)
+    return summary_of(found) | maps | {"score_own": float(np.mean(own))}
+
+
+def _own_score(result: sj.Recognition, frame: TestFrame) -> float:
+    scores = result.scores_by_yaw
+    return float(scores[round(frame.yaw * len(scores) / (2 * np.pi)) % len(scores)])
 
 
 # ---------------------------------------------------------------- another bank, at the known place
@@ -331,9 +364,11 @@ def trained(study: Study, variant: str) -> Measures:
 
 
 def table(report: Report) -> str:
-    """The rows as a table."""
+    """The rows as a table, and what its columns mean."""
     sweep = SWEEPS[report["vary"]]
-    return columns(report["rows"], {"value": sweep.varied, "map": "matched on", **sweep.columns})
+    heads = {key: text.partition(": ")[0] for key, text in sweep.columns.items()}
+    rows = columns(report["rows"], {"value": sweep.varied, "map": "matched on", **heads})
+    return "\n".join([rows, "", *(text for text in sweep.columns.values() if ": " in text)]).rstrip()
 
 
 if __name__ == "__main__":

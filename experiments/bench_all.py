@@ -92,6 +92,9 @@ def match_bars(report: Report) -> list[dict[str, Any]]:
     for count, floor in ((36, 2.0), (360, 3.0)):
         found.append(bar(f"{count} templates: OpenCV / ours", ratio(count, "OpenCV"), "×", floor, 6.0, higher=True))
         found.append(bar(f"{count} templates: skimage / ours", ratio(count, "scikit"), "×", 20.0, higher=True))
+    low_rank, peer = ratio(360, bench_match.LOW_RANK), ratio(360, bench_match.OPENCV)
+    faster = None if low_rank is None or peer is None else peer / low_rank
+    found.append(bar("360 templates: OpenCV / ours, low rank", faster, "×", 6.0, higher=True))
     return found
 
 

@@ -84,7 +84,9 @@ def run(settings: Settings, job: Job) -> Report:
         recognizer(image)
     names, images = names[settings.before :], images[settings.before :]
     anew, results = zip(*(_timed(recognizer, image) for image in images), strict=True)
+    worked = time.process_time()
     kept = [_timed(recognizer, image)[0] for image in images]
+    worked = time.process_time() - worked
     maps = [result.semantic for result in results]
     network = [_timed(recognizer.segmenter.semantic, image, None, recognizer.engine)[0] for image in images]
     looks = [_timed(first.best, picture) for picture in (*maps, *images)]
@@ -93,10 +95,10 @@ def run(settings: Settings, job: Job) -> Report:
     short = [leading(found, recognizer.search) for found in sightings]
     return {
         "objects": settings.objects, "yaws": recognizer.search.yaw_bins, "distances": first.n_distances,
-        "cores": cores(), "rank": recognizer.search.rank, "residual": first.residual, "before_mb": before,
-        "resident_mb": resident, "prepare_s": prepare_s, "anew_s": statistics.median(anew),
-        "kept_s": statistics.median(kept), "slowest_s": max(kept), "network_s": statistics.median(network),
-        "look_s": 2 * statistics.median([seconds for seconds, _ in looks]),
+        "cores": cores(), "load": os.getloadavg()[0], "rank": recognizer.search.rank, "residual": first.residual,
+        "before_mb": before, "resident_mb": resident, "prepare_s": prepare_s, "anew_s": statistics.median(anew),
+        "kept_s": statistics.median(kept), "work_s": worked / len(images), "slowest_s": max(kept),
+        "network_s": statistics.median(network), "look_s": 2 * statistics.median([seconds for seconds, _ in looks]),
         "candidates": float(np.mean([len(one) for one in short])),
         "right": float(np.mean([result.target == name for result, name in zip(results, names, strict=True)])),
         **_closer(recognizer, short[0], sightings[0][0], maps[0]),
@@ -142,6 +144,7 @@ LINES = {
     "prepare_s": "to prepare, with compiling [s]", "before_mb": "resident before [MB]",
     "resident_mb": "resident with all that is kept [MB]", "residual": "largest residual: no score is off by more",
     "kept_s": "a frame, banks kept [s]", "slowest_s": "the slowest of these [s]",
+    "work_s": "the same in seconds of one core, mean [s]",
     "anew_s": "a frame, candidates' banks rendered anew [s]", "network_s": "of a frame: the network [s]",
     "look_s": "of a frame: the first look at map and frame [s]", "candidates": "candidates looked at closely, mean",
     "right": "object right", "fine_anew_s": "360 yaws of one candidate, rendered anew [s]",
@@ -152,7 +155,9 @@ LINES = {
 def table(report: Report) -> str:
     """One line for each number."""
     rows = [{"what": head, "value": report[name]} for name, head in LINES.items()]
-    about = "{objects} objects × {yaws} yaws × {distances} distances by {rank} components; {cores} cores"
+    about = (
+        "{objects} objects × {yaws} yaws × {distances} distances by {rank} components; {cores} cores, load {load:.1f}"
+    )
     return f"{columns(rows, {'what': 'what', 'value': 'measured'})}\n\n{about.format(**report)}"
 
 

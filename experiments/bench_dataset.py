@@ -47,7 +47,7 @@ SHOWN = 6
 class Settings:
     """What is timed."""
 
-    count: int = 192
+    count: int = 96
     """Frames of each data set."""
     scenes: tuple[int, ...] = (1, 3)
     """Most objects in a frame."""
@@ -61,7 +61,7 @@ class Settings:
 
 def run(settings: Settings, job: Job) -> Report:
     """A row for each format and number of objects; a row for each peak; `frames.npz` has frames to look at."""
-    rows = []
+    rows, load = [], os.getloadavg()[0]
     with tempfile.TemporaryDirectory() as name:
         for scenes in settings.scenes:
             first = Path(name) / f"first_{scenes}"
@@ -73,7 +73,7 @@ def run(settings: Settings, job: Job) -> Report:
         pictures = {key: np.stack([getattr(v, key) for v in shown]) for key in ("image", "labels", "instances")}
         job.arrays("frames", **pictures)
         peaks = [{"frames": n, "peak_mib": peak_memory(Path(name), n)} for n in settings.memory]
-    return {"rows": rows, "memory": peaks, "cores": len(os.sched_getaffinity(0)), "load": os.getloadavg()[0]}
+    return {"rows": rows, "memory": peaks, "cores": len(os.sched_getaffinity(0)), "load": [load, os.getloadavg()[0]]}
 
 
 def _meshes() -> dict[str, sj.Mesh]:
@@ -175,7 +175,8 @@ def table(report: Report) -> str:
     text = columns(report["rows"], HEADS)
     if report["memory"]:
         text += "\n\n" + columns(report["memory"], MEMORY)
-    return f"{text}\n\n{report['cores']} cores"
+    before, after = report["load"]
+    return f"{text}\n\n{report['cores']} cores; load average {before:.1f} before, {after:.1f} after"
 
 
 if __name__ == "__main__":

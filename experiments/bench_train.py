@@ -53,6 +53,8 @@ class Settings:
     """Processor time on one core instead of the clock on all: for a machine that others use too."""
     peer: bool = True
     """Time PyTorch too."""
+    plain: bool = False
+    """Time ours without `segment.winograd` too, which stays as long as training is 1.15 times as fast with it."""
     pairs: bool = True
     """Time the making of training pairs too."""
 
@@ -99,6 +101,14 @@ def time_ours(width: int, settings: Settings) -> list[float]:
     inference = timed(lambda: segment_patch(weights, batch).block_until_ready(), settings.steps)
     patch = timed(lambda: segment_patch(weights, one).block_until_ready(), 4 * settings.steps)
     return [training, inference, patch]
+
+
+def time_plain(width: int, settings: Settings) -> list[float]:
+    """As `time_ours`, with all layers as plain matrix products."""
+    from sonarjax.segment import matmul, products
+
+    products.scheme = lambda *_: matmul  # this process does nothing else
+    return time_ours(width, settings)
 
 
 def time_torch(width: int, settings: Settings) -> list[float]:
@@ -149,7 +159,12 @@ def one_side() -> None:
         os.sched_setaffinity(0, [max(os.sched_getaffinity(0))])
     tune()
     keep_memory()  # as training does; for both sides
-    print(json.dumps({"ours": time_ours, "torch": time_torch, "pairs": time_pairs}[side](width, settings)))
+    print(json.dumps(SIDES[side](width, settings)))
+
+
+SIDES = {"ours": time_ours, "plain": time_plain, "torch": time_torch, "pairs": time_pairs}
+"""What a process may time."""
+HEADS = {"ours": "ours", "plain": "without Winograd", "torch": "PyTorch"}
 
 
 def run(settings: Settings, job: Job) -> Report:
@@ -170,7 +185,7 @@ def run(settings: Settings, job: Job) -> Report:
 
 def compare(width: int, settings: Settings) -> list[dict[str, Any]]:
     """One row for each kind of work at one width: the fastest of all rounds of each side."""
-    sides = ("ours", "torch") if settings.peer else ("ours",)
+    sides = ["ours", *["plain"] * settings.plain, *["torch"] * settings.peer]
     rounds: dict[str, list[list[float]]] = {side: [] for side in sides}
     for _ in range(settings.rounds):
         for side in sides:
@@ -185,20 +200,22 @@ def compare(width: int, settings: Settings) -> list[dict[str, Any]]:
     return rows
 
 
-def _ratio(images: dict[str, float]) -> float | None:
-    """Ours over PyTorch's images/s."""
-    return images["ours"] / images["torch"] if "torch" in images else None
+def _ratio(images: dict[str, float], other: str = "torch") -> float | None:
+    """Ours over the other side's images/s."""
+    return images["ours"] / images[other] if other in images else None
 
 
 def table(report: Report) -> str:
     """One line for each width and kind of work."""
     before, after = report["load"]
+    sides = [side for side in HEADS if side in report["rows"][0]["seconds"]]
     rows = []
     for row in report["rows"]:
-        times = [f"{1e3 * row['seconds'][side]:.2f}" if side in row["seconds"] else None for side in ("ours", "torch")]
-        speeds = [f"{row['images'][side]:.1f}" if side in row["images"] else None for side in ("ours", "torch")]
-        rows.append([row["width"], row["work"], times[0], speeds[0], times[1], speeds[1], row["ratio"]])
-    head = ("width", "work", "ours [ms]", "images/s", "PyTorch [ms]", "images/s", "ours / PyTorch")
+        cells = [(f"{1e3 * row['seconds'][side]:.2f}", f"{row['images'][side]:.1f}") for side in sides]
+        ratios = [_ratio(row["images"], side) for side in sides[1:]]
+        rows.append([row["width"], row["work"], *(cell for pair in cells for cell in pair), *ratios])
+    heads = [head for side in sides for head in (f"{HEADS[side]} [ms]", "images/s")]
+    head = ("width", "work", *heads, *(f"ours / {HEADS[side]}" for side in sides[1:]))
     lines = [
         f"pix2pix, 128 × 128, batch {report['batch']}, {report['cores']} core(s) (load {before:.1f} to {after:.1f})",
         markdown(head, rows),

@@ -3,9 +3,8 @@
 python -m experiments.catalog [--preset smoke] [--help]
 
 The list (experiments/common/catalogue.py) was fixed before the first run, near-duplicates and all. `drawn devices` are
-of the simulator's family at severity 1, as in `reproduce_paper`; `widest family` are drawn as validation's are,
-severity 0.7 to 1.6 and most of them odd. The judge renders with Embree and a sensor model of its own. Nothing was tuned
-on any of them.
+of the simulator's family at severity 1, as in `reproduce_paper`. The judge renders with Embree and a sensor model of
+its own. Nothing was tuned on any of them.
 """
 
 from __future__ import annotations
@@ -31,12 +30,7 @@ from experiments.common.runs import Job
 
 STREAM = 7300
 """Added to numbers of keys: apart from those of other experiments."""
-DEVICES: dict[str, tuple[tuple[float, float], float]] = {
-    "drawn devices": ((1.0, 1.0), 0.0),
-    "widest family": ((0.7, 1.6), 0.6),
-}
-"""Severities of our simulator's sets, and the share of odd devices [1]."""
-JUDGE = "the judge"
+DRAWN, JUDGE = "drawn devices", "the judge"
 HEADS = {
     "frames_of": "frames of", "count": "frames", "top_1": "object right", "top_1_std": "± std",
     "alike": "right, or its near-duplicate", "identified": "right and identified", "strangers": "frames of others",
@@ -51,7 +45,7 @@ class Settings:
     """What is shown."""
 
     frames: int = 2
-    """Frames of each object on drawn devices and on the judge; half as many of the widest family."""
+    """Frames of each object on drawn devices, and on the judge."""
     of_strangers: int = 1
     """Frames of each object that is not in the catalogue, in each set."""
     objects: int = 24
@@ -87,7 +81,7 @@ def run(settings: Settings, job: Job) -> Report:
         return made[tilt_deg]
 
     found = {}
-    for name in (*DEVICES, JUDGE):
+    for name in (DRAWN, JUDGE):
         try:
             measure = partial(_measure, settings, job.seed, known, recognizer)
             found |= job.map(measure, {name: name}, "set")
@@ -109,10 +103,9 @@ def _measure(
     settings: Settings, seed: int, known: dict[str, Entry], recognizer: Callable[[float], sj.Recognizer], source: str
 ) -> dict[str, list[dict[str, Any]]]:
     """What was found in each frame of a set, of the catalogue's objects and of others."""
-    count = settings.frames if source != "widest family" else max(settings.frames // 2, 1)
-    shows = _judged if source == JUDGE else partial(_drawn, source)
+    shows = _judged if source == JUDGE else _drawn
     parts = {
-        "known": (known, count, 0),
+        "known": (known, settings.frames, 0),
         "others": (dict(list(strangers().items())[: settings.strangers]), settings.of_strangers, 100_000),
     }
     found: dict[str, list[dict[str, Any]]] = {}
@@ -126,14 +119,13 @@ def _measure(
 
 
 def _drawn(
-    source: str, entries: dict[str, Entry], each: int, tilts_deg: tuple[float, ...], seed: int, first: int
+    entries: dict[str, Entry], each: int, tilts_deg: tuple[float, ...], seed: int, first: int
 ) -> Iterator[Shown]:
     """Frames of our simulator."""
-    severities, odd = DEVICES[source]
-    key = jax.random.fold_in(jax.random.key(seed), STREAM + list(DEVICES).index(source))
+    key = jax.random.fold_in(jax.random.key(seed), STREAM)
     for number, (name, entry, tilt) in enumerate(_cases(entries, each, tilts_deg)):
         part = jax.random.fold_in(key, first + number)
-        device = draw_device(entry.mesh, tilt, severities, wide=odd, key=part)
+        device = draw_device(entry.mesh, tilt, (1.0, 1.0), key=part)
         image, _ = observed(device.mesh, device.start, device.sonar, device.model, key=jax.random.fold_in(part, 5))
         yield Shown(name, entry, np.asarray(image), float(device.start.yaw), tilt)
 

@@ -7,20 +7,23 @@ panel is solid and filled, the second dashed and hollow, the third dotted and a 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, field
 from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from experiments.ablate import EVERYTHING, NOTHING, SWEEPS
+from experiments.common import paper
+from experiments.common.runs import Run
 from paper_figs import style
-from paper_figs.shared import Line, in_order, load, row_where
+from paper_figs.shared import Line, in_order, row_where
 
 LINES = ("-", "--", ":")
 WAY = "curve"
 """In place of a measure: the IoU on the way of each training."""
+TRUE_GAIN = ("truth", "psnr_gain")
+"""No gain at all but the most that PSNR counts: it would dwarf the others."""
 SHARES = {"share of frames": ("best_accuracy", "bin_right")}
 CORRELATIONS = {"correlation": ("score_own", "score_wrong", "score_other")}
 
@@ -43,15 +46,17 @@ class Ablation:
     NUMBERS: Sequence[Line]
     log: Sequence[str] = ()
     """Panels whose upward axis is logarithmic."""
+    paper: Mapping[str, float] = field(default_factory=dict)
+    """The paper's value by panel."""
 
     @property
     def EXPERIMENTS(self) -> tuple[str, ...]:
         """What makes the runs."""
         return tuple(f"ablate --vary {vary}" for vary in self.sweeps)
 
-    def draw(self, runs: Path) -> Figure:
+    def draw(self, *runs: Run) -> Figure:
         """The panels, (a) to the last."""
-        tables = [load(runs, name).report["rows"] for name in self.EXPERIMENTS]
+        tables = [run.report["rows"] for run in runs]
         names = 0 if _numeric(tables[0]) else len(in_order(tables[0], "value"))
         figure = style.sheet(style.TWO_COLUMNS, max(2.6, 1.1 + 0.2 * names) + 1.8 * (len(tables) - 1))
         axes = figure.subplots(len(tables), len(self.panels), squeeze=False)
@@ -64,6 +69,8 @@ class Ablation:
                     ax.set_xlabel(SWEEPS[vary].varied)
                 else:
                     _by_name(ax, rows, keys, first=ax is line[0])
+                if title in self.paper:
+                    ax.axvline(self.paper[title], color=style.PAPER, linestyle="--", linewidth=1)
                 ax.set_title(title)
                 ax.grid(True)
         figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
@@ -93,14 +100,16 @@ def _over_numbers(ax: Axes, rows: Sequence[dict[str, Any]], keys: Sequence[str],
 
 
 def _by_name(ax: Axes, rows: Sequence[dict[str, Any]], keys: Sequence[str], first: bool) -> None:
-    """A row for each value, the first of which is the usual: a line goes through it."""
-    names = in_order(rows, "value")
-    for of in in_order(rows, "map"):
+    """A row for each value, the first of which is the usual: a line goes through it, unless there would be many."""
+    names, maps = in_order(rows, "value"), in_order(rows, "map")
+    for of in maps:
         own, look = [row for row in rows if row["map"] == of], style.look(of)
         for number, key in enumerate(keys):
             how = (look | {"label": of}, look | {"markerfacecolor": "white"}, look | {"marker": "x"})[number]
-            ax.plot([row[key] for row in own], [-names.index(row["value"]) for row in own], linestyle="none", **how)
-        ax.axvline(own[0][keys[0]], color=look["color"], linewidth=0.8)
+            known = [None if (of, key) == TRUE_GAIN else row[key] for row in own]
+            ax.plot(known, [-names.index(row["value"]) for row in own], linestyle="none", **how)
+            if number == 0 and len(maps) <= 3:
+                ax.axvline(known[0], color=look["color"], linewidth=0.8)
     ax.set_yticks([-k for k in range(len(names))], names if first else [""] * len(names))
 
 
@@ -114,6 +123,17 @@ def _way(ax: Axes, rows: Sequence[dict[str, Any]]) -> None:
 
 
 SCRIPTS = {
+    "ext05_frames": Ablation(
+        "Ext. 5",
+        "Segmenters side by side: accuracy at the fixed threshold, yaw bins right, IoU and gain in PSNR, on the frames "
+        "of §4.1 and on four harder or other sets. `truth` matches the true maps; the paper's values are dashed.",
+        ("frames",),
+        {"accuracy": ("accuracy",), "yaw bin right": ("bin_right",), "IoU": ("iou",), "PSNR gain [dB]": ("psnr_gain",)},
+        [told(f"pix2pix, {title}: {what}", "frames", title, key)
+         for title in ("severity 1", "severity 1.5", "mirror image", "offset yaw", "other devices")
+         for key, what in (("accuracy", "accuracy"), ("iou", "IoU"))],
+        paper={"accuracy": paper.ACCURACY, "IoU": paper.IOU, "PSNR gain [dB]": paper.PSNR_GAIN},
+    ),
     "ext06_severity": Ablation(
         "Ext. 6",
         "Severity of the sensor model (1: calibrated to the paper's frames): (a) accuracy at the threshold that was "

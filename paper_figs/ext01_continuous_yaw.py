@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from experiments.common.runs import Run
 from paper_figs import style
-from paper_figs.shared import load, row_where
+from paper_figs.shared import row_where
 
 ITEM = "Ext. 1"
 CAPTION = (
@@ -24,9 +24,8 @@ EXPERIMENTS = ("continuous_yaw",)
 ASTRAY_DEG = 10.0
 
 
-def draw(runs: Path) -> Figure:
+def draw(run: Run) -> Figure:
     """Cumulative errors, calibration of the error bars, cost."""
-    run = load(runs, "continuous_yaw")
     errors, names = run.arrays("errors"), run.report["settings"]["segmenters"]
     figure = style.sheet(style.TWO_COLUMNS, 2.8)
     axes = figure.subplots(1, 3, width_ratios=(1.15, 1, 0.9))

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from matplotlib.figure import Figure
 
+from experiments.common.runs import Run
 from paper_figs import style
-from paper_figs.shared import in_order, load, row_where
+from paper_figs.shared import in_order, row_where
 
 ITEM = "Ext. 2"
 CAPTION = (
@@ -19,9 +18,9 @@ EXPERIMENTS = ("yaw_basin",)
 COLORS = (style.BLUE, style.ORANGE)
 
 
-def draw(runs: Path) -> Figure:
+def draw(run: Run) -> Figure:
     """A panel for each kind of map."""
-    rows = load(runs, "yaw_basin").report["rows"]
+    rows = run.report["rows"]
     maps = in_order(rows, "map")
     figure = style.sheet(style.TWO_COLUMNS, 2.6)
     axes = figure.subplots(1, len(maps), squeeze=False, sharey=True)[0]

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from experiments.common.runs import Run
 from paper_figs import style
-from paper_figs.shared import load
 
 ITEM = "Ext. 3"
 CAPTION = (
@@ -21,9 +20,8 @@ CAPTION = (
 EXPERIMENTS = ("yaw_landscape",)
 
 
-def draw(runs: Path) -> Figure:
+def draw(run: Run) -> Figure:
     """A row for each kind of map: landscapes by blur, then derivatives."""
-    run = load(runs, "yaw_landscape")
     names, slopes = run.report["settings"]["maps"], run.arrays("derivatives")
     blurs = slopes["blur"]
     figure = style.sheet(style.TWO_COLUMNS, 0.45 + 2.15 * len(names))

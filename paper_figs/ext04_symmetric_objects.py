@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 from matplotlib.figure import Figure
 
+from experiments.common.runs import Run
 from paper_figs import style
-from paper_figs.shared import in_order, load, row_where
+from paper_figs.shared import in_order, row_where
 
 ITEM = "Ext. 4"
 CAPTION = (
@@ -18,9 +17,8 @@ CAPTION = (
 EXPERIMENTS = ("symmetric_objects",)
 
 
-def draw(runs: Path) -> Figure:
+def draw(run: Run) -> Figure:
     """A panel for each object."""
-    run = load(runs, "symmetric_objects")
     rows, found = run.report["rows"], run.arrays("hypotheses")
     objects = in_order(rows, "object")
     figure = style.sheet(style.TWO_COLUMNS, 2.7)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,8 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
+from experiments.common.runs import Run
 from paper_figs import style
-from paper_figs.shared import load, row_where
+from paper_figs.shared import row_where
 
 ITEM = "Ext. 12"
 CAPTION = (
@@ -35,9 +35,9 @@ TICKS_DEG = (-90, -30, -10, -5, 0, 5, 10, 30, 90)
 Errors = dict[tuple[str, str], np.ndarray]
 
 
-def draw(runs: Path) -> Figure:
+def draw(run: Run) -> Figure:
     """Cumulative errors, and errors over the true yaw."""
-    report = load(runs, "real_turntable").report
+    report = run.report
     errors, truth = _refined(report["per_frame"]), np.array(report["per_frame"]["truth_deg"], float)
     figure = style.sheet(style.TWO_COLUMNS, 3.0)
     axes = figure.subplots(1, 2, width_ratios=(1, 1.15))

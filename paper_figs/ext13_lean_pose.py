@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from matplotlib.figure import Figure
 
+from experiments.common.runs import Run
 from paper_figs import style
-from paper_figs.shared import load, row_where
+from paper_figs.shared import row_where
 
 ITEM = "Ext. 13"
 CAPTION = (
@@ -20,9 +19,9 @@ BARS = {"1": (3.0, 8.0), "2": (1.0, 3.0)}
 MARKERS = "os^"
 
 
-def draw(runs: Path) -> Figure:
+def draw(run: Run) -> Figure:
     """One view left, two right."""
-    found = load(runs, "lean_pose").report["per_frame"]
+    found = run.report["per_frame"]
     figure = style.sheet(style.TWO_COLUMNS, 2.5)
     axes = figure.subplots(1, 2, sharex=True, sharey=True)
     for ax, (views, (place, angle)) in zip(axes, BARS.items(), strict=True):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
+from experiments.common.runs import Run
 from paper_figs import style
-from paper_figs.shared import load
 
 ITEM = "Ext. 14"
 CAPTION = (
@@ -25,9 +24,8 @@ TICKS_DEG = (-90, -30, -10, -5, 0, 5, 10, 30, 90)
 LOOKS = {"one place": (style.BLUE, "o"), "around": (style.ORANGE, "s")}
 
 
-def draw(runs: Path) -> Figure:
+def draw(run: Run) -> Figure:
     """Errors over the number of views; errors of the real frames, where they were run."""
-    run = load(runs, "track_views")
     figure = style.sheet(style.TWO_COLUMNS, 2.8)
     axes = figure.subplots(1, 2, width_ratios=(1, 1.6))
     _views(axes[0], run.report["rows"])

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from experiments.common.runs import Run
 from paper_figs import style
-from paper_figs.shared import load
 from paper_figs.solid import draw_solid
 
 ITEM = "Ext. 15"
@@ -23,9 +22,9 @@ BODIES = (("first", "first guess", "#999999"), ("found", "found", style.ORANGE),
           ("true", "truth", style.BLUE))  # fmt: skip
 
 
-def draw(runs: Path) -> Figure:
+def draw(run: Run) -> Figure:
     """The first body that was run, and its search."""
-    body = load(runs, "shape_from_frames").arrays("body_0")
+    body = run.arrays("body_0")
     figure = style.sheet(style.TWO_COLUMNS, 2.0)
     axes = figure.subplots(1, 4, width_ratios=(1, 1, 1, 1.2))
     for ax, (name, title, color) in zip(axes, BODIES, strict=False):

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from experiments.common.runs import Run
 from experiments.reproduce_paper import EXAMPLES
 from paper_figs import style
-from paper_figs.shared import center_of, close_up, in_frame, load, outer_labels, tank_sonar
+from paper_figs.shared import center_of, close_up, in_frame, outer_labels, tank_sonar
 from sonarjax.plot import draw_outline, plot_scores
 
 ITEM = "Fig. 1"
@@ -23,9 +23,9 @@ EXPERIMENTS = ("reproduce_paper", "paper_scenes")
 SIZE_M = (0.62, 1.0)
 
 
-def draw(runs: Path) -> Figure:
+def draw(run: Run, paper_scenes: Run) -> Figure:
     """Frame → map → template → score over yaw."""
-    run, scenes = load(runs, "reproduce_paper"), load(runs, "paper_scenes").arrays("fig03")
+    scenes = paper_scenes.arrays("fig03")
     name, limit = run.report["segmenters"][0]["segmenter"], run.report["segmenters"][0]["threshold"]
     maps, grid = run.arrays(f"maps_{name}"), run.arrays(f"grid_{name}")
     shown = _example(maps, float(scenes["tilt_deg"]))

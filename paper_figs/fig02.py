@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 from matplotlib.figure import Figure
 
+from experiments.common.runs import Run
 from paper_figs import style
-from paper_figs.shared import center_of, close_up, load, outer_labels, tank_sonar
+from paper_figs.shared import center_of, close_up, outer_labels, tank_sonar
 
 ITEM = "Fig. 2"
 CAPTION = (
@@ -19,9 +18,9 @@ EXPERIMENTS = ("paper_scenes",)
 SIZE_M = (0.8, 0.95)
 
 
-def draw(runs: Path) -> Figure:
+def draw(run: Run) -> Figure:
     """Four yaws, with and without noise."""
-    scene = load(runs, "paper_scenes").arrays("fig02")
+    scene = run.arrays("fig02")
     sonar, count = tank_sonar(scene["tilt_deg"]), min(4, len(scene["image"]))
     figure = style.sheet(style.TWO_COLUMNS, 4.3)
     axes = figure.subplots(2, count, squeeze=False)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 from matplotlib.figure import Figure
 
+from experiments.common.runs import Run
 from paper_figs import style
-from paper_figs.shared import center_of, close_up, in_frame, load, outer_labels, tank_sonar
+from paper_figs.shared import center_of, close_up, in_frame, outer_labels, tank_sonar
 from paper_figs.solid import draw_solid
 
 ITEM = "Fig. 3"
@@ -20,9 +19,8 @@ EXPERIMENTS = ("paper_scenes",)
 SIZE_M, SHOWN = (0.62, 0.95), 4
 
 
-def draw(runs: Path) -> Figure:
+def draw(run: Run) -> Figure:
     """The target's model and some of its templates."""
-    run = load(runs, "paper_scenes")
     bank, meshes = run.arrays("fig03"), run.arrays("fig04")
     sonar, picked = tank_sonar(bank["tilt_deg"]), np.arange(SHOWN) * len(bank["templates"]) // SHOWN
     figure = style.sheet(style.TWO_COLUMNS, 2.3)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 from matplotlib.figure import Figure
 
+from experiments.common.runs import Run
 from paper_figs import style
-from paper_figs.shared import load
 from paper_figs.solid import draw_solid
 
 ITEM = "Fig. 4"
@@ -17,9 +15,9 @@ EXPERIMENTS = ("paper_scenes",)
 OBJECTS = {"concrete cylinder": style.SKY, "plastic ball": style.GREEN, "clay brick": style.VERMILION}
 
 
-def draw(runs: Path) -> Figure:
+def draw(run: Run) -> Figure:
     """The three objects beside each other."""
-    meshes = load(runs, "paper_scenes").arrays("fig04")
+    meshes = run.arrays("fig04")
     figure = style.sheet(style.TWO_COLUMNS, 2.1)
     axes = figure.subplots(1, len(OBJECTS))
     for ax, (name, color) in zip(axes, OBJECTS.items(), strict=True):

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from matplotlib.figure import Figure
 
+from experiments.common.runs import Run
 from paper_figs import style
-from paper_figs.shared import load
 
 ITEM = "Fig. 5"
 CAPTION = (
@@ -18,9 +16,9 @@ EXPERIMENTS = ("paper_scenes",)
 GREY_OF = (0.5, 1.0, 0.0)  # background, highlight, shadow
 
 
-def draw(runs: Path) -> Figure:
+def draw(run: Run) -> Figure:
     """Images above, maps below."""
-    pairs = load(runs, "paper_scenes").arrays("fig05")
+    pairs = run.arrays("fig05")
     count, size = len(pairs["image"]), pairs["image"].shape[-1]
     figure = style.sheet(style.TWO_COLUMNS, 0.45 + 2 * 6.7 / max(count, 6))
     axes = figure.subplots(2, count, squeeze=False)

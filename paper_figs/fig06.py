@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,8 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from experiments.common.frames import GROUND_RANGE_M
+from experiments.common.runs import Run
 from paper_figs import style
-from paper_figs.shared import load, tank_sonar
+from paper_figs.shared import tank_sonar
 from paper_figs.solid import draw_solid
 
 ITEM = "Fig. 6"
@@ -26,9 +26,9 @@ TABLE_1_RANGE_M, FAR_M = 1.6, 4.2
 LINES = {15.0: (style.BLUE, "-"), 20.0: (style.VERMILION, "--"), 25.0: (style.GREEN, "-.")}
 
 
-def draw(runs: Path) -> Figure:
+def draw(run: Run) -> Figure:
     """Both objects above, the side view below."""
-    meshes = load(runs, "paper_scenes").arrays("fig04")
+    meshes = run.arrays("fig04")
     figure = style.sheet(style.TWO_COLUMNS, 4.6)
     axes = figure.subplot_mosaic([["target", "non-target"], ["side"] * 2], height_ratios=(1.1, 1))
     for name, color in (("target", style.ORANGE), ("non-target", style.SKY)):

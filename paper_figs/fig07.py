@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 from matplotlib.figure import Figure
 
+from experiments.common.runs import Run
 from paper_figs import style
-from paper_figs.shared import center_of, close_up, in_frame, load, outer_labels, tank_sonar
+from paper_figs.shared import center_of, close_up, in_frame, outer_labels, tank_sonar
 
 ITEM = "Fig. 7"
 CAPTION = (
@@ -19,9 +18,9 @@ EXPERIMENTS = ("paper_scenes",)
 COLUMNS, SIZE_M = 12, (0.52, 0.84)
 
 
-def draw(runs: Path) -> Figure:
+def draw(run: Run) -> Figure:
     """One small panel for each yaw."""
-    bank = load(runs, "paper_scenes").arrays("fig03")
+    bank = run.arrays("fig03")
     sonar, count = tank_sonar(bank["tilt_deg"]), len(bank["templates"])
     columns = min(COLUMNS, count)
     rows = -(-count // columns)

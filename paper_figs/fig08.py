@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from matplotlib.figure import Figure
 
+from experiments.common.runs import Run
 from paper_figs import style
-from paper_figs.shared import center_of, close_up, load, tank_sonar
+from paper_figs.shared import center_of, close_up, tank_sonar
 
 ITEM = "Fig. 8"
 CAPTION = (
@@ -19,9 +18,8 @@ EXPERIMENTS = ("reproduce_paper",)
 SIZE_M = (0.66, 1.05)
 
 
-def draw(runs: Path) -> Figure:
+def draw(run: Run) -> Figure:
     """A column for each frame that was kept."""
-    run = load(runs, "reproduce_paper")
     name = run.report["segmenters"][0]["segmenter"]
     maps = run.arrays(f"maps_{name}")
     count = len(maps["image"])

@@ -7,16 +7,16 @@ import re
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 import sonarjax as sj
 from experiments.common.metrics import markdown
-from experiments.common.runs import has_run, load
+from experiments.common.runs import Run, has_run, load
 from paper_figs import ablations, style
-from paper_figs.shared import Line, Number, number
+from paper_figs.shared import Line, Number, Take
 
 FOLDER = Path(__file__).resolve().parent
 SCRIPT = re.compile(r"(fig|tab|sec|ext)\d\d\w*")
@@ -47,8 +47,8 @@ class Script(Protocol):
     CAPTION: str
     EXPERIMENTS: tuple[str, ...]
 
-    def draw(self, runs: Path) -> Figure:
-        """The figure, from `runs`."""
+    def draw(self, *runs: Run) -> Figure:
+        """The figure, from a run of each of them."""
 
 
 @cache
@@ -79,12 +79,21 @@ def is_smoke(script: Script, runs: Path) -> bool:
 
 def numbers(script: Script, runs: Path) -> list[Number]:
     """The rows of its item in the newest runs' reports, and its NUMBERS, of which ours is None where there is none."""
-    reports = [load(runs, name).report for name in script.EXPERIMENTS if has_run(runs, name)]
-    rows = [row for report in reports for row in report.get("rows", ()) if row.get("item") == script.ITEM]
+    reports = {name: load(runs, name).report for name in script.EXPERIMENTS if has_run(runs, name)}
+    rows = [row for report in reports.values() for row in report.get("rows", ()) if row.get("item") == script.ITEM]
     lines: Sequence[Line] = getattr(script, "NUMBERS", ())
     return [Number(row["what"], row["paper"], row["ours"]) for row in rows] + [
-        number(runs, (*of, script.EXPERIMENTS[0])[0], what, paper, take) for what, paper, take, *of in lines
+        Number(what, paper, _taken(take, reports.get((*of, script.EXPERIMENTS[0])[0])))
+        for what, paper, take, *of in lines
     ]
+
+
+def _taken(take: Take, report: dict[str, Any] | None) -> float | None:
+    try:
+        value = None if report is None else take(report)
+    except (KeyError, IndexError, StopIteration):  # the run left this part out
+        return None
+    return None if value is None else float(value)
 
 
 def command(experiment: str) -> str:
@@ -96,7 +105,7 @@ def drawn(name: str, runs: Path) -> Figure:
     """The figure of an item, marked where it shows a short run. Raises SonarjaxError when it cannot be drawn."""
     script = scripts()[name]
     try:
-        figure = script.draw(runs)
+        figure = script.draw(*(load(runs, one) for one in script.EXPERIMENTS))
     except (KeyError, IndexError, StopIteration) as error:
         made = " and ".join(command(one) for one in script.EXPERIMENTS)
         raise sj.SonarjaxError(f"{name}: the run lacks {error!r}, which this figure shows; run {made} again") from error

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure
 
 from experiments.common import paper
+from experiments.common.runs import Run
 from paper_figs import style
-from paper_figs.shared import in_order, load, row_where
+from paper_figs.shared import in_order, row_where
 
 ITEM = "§3.2"
 CAPTION = (
@@ -27,9 +27,9 @@ def hours(report: dict[str, Any], side: str, width: int = WIDTH) -> float:
     return IMAGES / row_where(report["rows"], width=width, work="training")["images"][side] / 3600
 
 
-def draw(runs: Path) -> Figure:
+def draw(run: Run) -> Figure:
     """Hours by width of the network."""
-    report = load(runs, "bench_train").report
+    report = run.report
     rows = [row for row in report["rows"] if row["work"] == "training"]
     widths = in_order(rows, "width")
     sides = [side for side in SIDES if all(side in row["images"] for row in rows)]

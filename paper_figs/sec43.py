@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from experiments.common import paper
+from experiments.common.runs import Run
 from paper_figs import style
-from paper_figs.shared import load
 
 ITEM = "§4.3"
 CAPTION = (
@@ -20,9 +18,9 @@ CAPTION = (
 EXPERIMENTS = ("reproduce_paper",)
 
 
-def draw(runs: Path) -> Figure:
+def draw(run: Run) -> Figure:
     """PSNR left, IoU right."""
-    rows = load(runs, "reproduce_paper").report["segmenters"]
+    rows = run.report["segmenters"]
     names = ["paper", *(row["segmenter"] for row in rows)]
     figure = style.sheet(style.TWO_COLUMNS, 2.5)
     left, right = figure.subplots(1, 2, width_ratios=(1.35, 1))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -11,7 +9,6 @@ from matplotlib.figure import Figure
 from experiments.common import paper
 from experiments.common.runs import Run
 from paper_figs import style
-from paper_figs.shared import load
 
 ITEM = "§4.4"
 CAPTION = (
@@ -22,9 +19,8 @@ CAPTION = (
 EXPERIMENTS = ("reproduce_paper",)
 
 
-def draw(runs: Path) -> Figure:
+def draw(run: Run) -> Figure:
     """Accuracy, ROC and scores."""
-    run = load(runs, "reproduce_paper")
     figure = style.sheet(style.TWO_COLUMNS, 2.7)
     axes = figure.subplots(1, 3, width_ratios=(1.15, 1, 1.1))
     _accuracy(axes[0], run)

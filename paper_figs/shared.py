@@ -1,10 +1,9 @@
-"""What the figure scripts share: reading runs, numbers beside the paper's, sonar images cropped to the object."""
+"""What the figure scripts share: rows of results, numbers beside the paper's, sonar images cropped to the object."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,7 +11,6 @@ from matplotlib.axes import Axes
 
 import sonarjax as sj
 from experiments.common.frames import sonar_for
-from experiments.common.runs import has_run, load
 from sonarjax.plot import plot_fan
 
 BACKGROUND, TOUCHED = 0.5, 0.25  # of a semantic image, and how far off it an object or its shadow is
@@ -33,19 +31,6 @@ Take = Callable[[dict[str, Any]], Any]
 Line = tuple[str, float | None, Take] | tuple[str, float | None, Take, str]
 """One of a script's NUMBERS: what it is, what the paper has, how to take ours from the report, and from which of its
 experiments, where that is not the first."""
-
-
-def number(runs: Path, experiment: str, what: str, paper: float | None, take: Take) -> Number:
-    """A line of a script's NUMBERS, with what `take` finds in the report of the newest run."""
-    return Number(what, paper, _taken(take, load(runs, experiment).report) if has_run(runs, experiment) else None)
-
-
-def _taken(take: Take, report: dict[str, Any]) -> float | None:
-    try:
-        value = take(report)
-    except (KeyError, IndexError, StopIteration):  # the run left this part out
-        return None
-    return None if value is None else float(value)
 
 
 def row_where(rows: Sequence[dict[str, Any]], **wanted: Any) -> dict[str, Any]:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 from matplotlib.figure import Figure
 
 from experiments.common import paper
+from experiments.common.runs import Run
 from experiments.common.tables import off_diagonal
 from paper_figs.matrix import blocks, draw_blocks
-from paper_figs.shared import load
 
 ITEM = "Table 3"
 CAPTION = (
@@ -21,9 +19,9 @@ EXPERIMENTS = ("reproduce_paper",)
 PAPER = {"target": paper.TABLE_3_TARGET, "other": paper.TABLE_3_OTHER}
 
 
-def draw(runs: Path) -> Figure:
+def draw(run: Run) -> Figure:
     """The paper's table beside ours."""
-    table = load(runs, "reproduce_paper").report["tables"]["tab03"]
+    table = run.report["tables"]["tab03"]
     return draw_blocks(blocks(table, **PAPER), table["threshold"])
 
 

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from matplotlib.figure import Figure
 
 from experiments.common import paper
+from experiments.common.runs import Run
 from paper_figs.matrix import blocks, draw_blocks
-from paper_figs.shared import load
 
 ITEM = "Table 4"
 CAPTION = (
@@ -19,7 +17,7 @@ EXPERIMENTS = ("reproduce_paper",)
 PAPER = {"target": paper.TABLE_4}
 
 
-def draw(runs: Path) -> Figure:
+def draw(run: Run) -> Figure:
     """The paper's table beside ours."""
-    table = load(runs, "reproduce_paper").report["tables"]["tab04"]
+    table = run.report["tables"]["tab04"]
     return draw_blocks(blocks(table, **PAPER), table["threshold"])

@@ -38,7 +38,7 @@ from sonarjax.render import (
     render,
     template_bank,
 )
-from sonarjax.scene import Mesh, Pose, objects, stack_meshes
+from sonarjax.scene import Mesh, Pose, objects, reduce_mesh, stack_meshes
 from sonarjax.segment import GeneratorWeights, Segmenter, load_segmenter, segment
 from sonarjax.sensor import SensorModel, observe
 from sonarjax.shape import SizeEstimate, SurfaceConfig, SurfaceEstimate, fit_size, fit_surface
@@ -53,6 +53,6 @@ __all__ = [
     "SensorModel", "SizeEstimate", "Sonar", "SonarFrame", "SonarjaxError", "Standing", "SurfaceConfig",
     "SurfaceEstimate", "TemplateBank", "Track", "TrackConfig", "Tracker", "Turning", "Window", "WindowSize",
     "YawEstimate", "calibrate", "fit_size", "fit_surface", "load_segmenter", "match_bank", "match_positions",
-    "objects", "observe", "plan_refinement", "plan_window", "recognize", "refine_pose", "refine_yaw", "render",
-    "segment", "stack_meshes", "template_bank", "track",
+    "objects", "observe", "plan_refinement", "plan_window", "recognize", "reduce_mesh", "refine_pose", "refine_yaw",
+    "render", "segment", "stack_meshes", "template_bank", "track",
 ]  # fmt: skip

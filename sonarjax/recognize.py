@@ -26,6 +26,7 @@ from sonarjax.refine import (
     Start,
     YawEstimate,
     YawSet,
+    apart,
     compared,
     curve_evidence,
     is_kept,
@@ -315,6 +316,8 @@ class Recognizer:
     ) -> _Judged:
         """Possible yaws, best first, the place (x, y) [m] of the best, and what speaks for it."""
         starts = make_starts(*look, seen, image, self.search.hypotheses)
+        if self.first_look is not None:  # of many targets a frame takes long enough
+            starts = apart(starts)
         matched = len(starts)
         for pose in expected:
             found = look.in_map._replace(x=float(pose.x), y=float(pose.y))

@@ -18,7 +18,7 @@ STAGES = [
     "track", "results", "plot", "cli",
 ]  # fmt: skip
 SPEED = {"cluster", "cpu"}  # nothing but speed: optional
-BASE = {"records", "engine"}  # below everything: any file may import them, and they import no stage but io
+BASE = {"crops", "records", "engine"}  # below everything: any file may import them, and they import no stage but io
 OUTSIDE = {"cluster", "cpu", "__init__", "__main__"}  # beside the order
 ONLY_IMPORTER = {"trimesh": "scene", "jaxopt": "refine"}
 FORBIDDEN = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "shelve", "marshal"}
@@ -70,6 +70,8 @@ def _complaint(parts: list[str], imported: list[str]) -> str | None:
     stage = parts[1]  # a folder of the package, or a file of its top
     if top in ONLY_IMPORTER and stage != ONLY_IMPORTER[top]:
         return f"imports {top}: only {ONLY_IMPORTER[top]}/ may"
+    if imported[:2] == ["sonarjax", "data"] and stage == "segment" and "training" not in parts:
+        return "inference imports the data that networks are trained with"
     if top == "sonarjax":
         return _wrong_direction(stage, imported[1:], is_folder=len(parts) > 2)
     return None
@@ -179,6 +181,7 @@ BAD = {
     "a stage asks for workers": ("sonarjax/data/a.py", "from sonarjax.cluster import connect"),
     "a stage asks for threads": ("sonarjax/recognize.py", "from sonarjax import cpu"),
     "importing tunes the process": ("sonarjax/__init__.py", "from sonarjax.cpu import tune"),
+    "inference knows training data": ("sonarjax/segment/a.py", "from sonarjax.data import Pairs"),
     "records know a stage": ("sonarjax/records.py", "from sonarjax.scene import Pose"),
     "too long": ("sonarjax/io/a.py", "x = 1\n" * (MAX_LINES + 1)),
 }

@@ -17,7 +17,7 @@ from matplotlib import rc_context
 from matplotlib.image import AxesImage
 from skimage.io import imread
 
-from experiments import ablate, bench_dataset, evaluate_segmenters, fit_threshold, reproduce_paper
+from experiments import ablate, bench_dataset, fit_threshold, reproduce_paper
 from experiments.common import paper
 from experiments.common.runs import load
 from experiments.common.tables import correlation_table, receiver_curve
@@ -144,15 +144,6 @@ def make_ablations(runs: Path, rng: np.random.Generator) -> None:
         finish(runs, f"ablate --vary {vary}", {"vary": vary, "settings": {"vary": vary}, "rows": rows})
 
 
-def make_segmenters(runs: Path, rng: np.random.Generator, preset: str = "full") -> None:
-    keys = (*evaluate_segmenters.COLUMNS, *evaluate_segmenters.YAW_COLUMNS)
-    lines = [row(rng, *keys, segmenter=name) for name in SEGMENTERS] + [
-        row(rng, *keys, segmenter="truth", psnr_gain=None)
-    ]
-    sets = {title: lines for title in evaluate_segmenters.SETS}
-    finish(runs, "evaluate_segmenters", {"sets": sets}, preset=preset)
-
-
 def turntable(rng: np.random.Generator, *searches: str) -> dict[str, Any]:
     """What real_turntable finds of 20 frames with these searches."""
     cases = [(name, search) for name in ("none", "otsu", "pix2pix") for search in searches]
@@ -179,7 +170,7 @@ def make_poses(runs: Path, rng: np.random.Generator) -> None:
 
 
 def make_catalog(runs: Path, rng: np.random.Generator) -> None:
-    names, sets = ["target", "target, mirror image", "brick"], ("drawn devices", "widest family", "the judge")
+    names, sets = ["target", "target, mirror image", "brick"], ("drawn devices", "the judge")
     rows = [row(rng, "top_1", "alike", "identified", "refused", frames_of=name) for name in sets]
     counts = {name: (rng.integers(0, 2, (3, 3)) + 3 * np.eye(3, dtype=int)).tolist() for name in sets}
     alike = [["target", "target, mirror image"]]
@@ -206,7 +197,7 @@ def make_shapes(runs: Path, rng: np.random.Generator) -> None:
 def make_dataset_bench(runs: Path, rng: np.random.Generator) -> None:
     rows = [row(rng, *bench_dataset.HEADS, format="coco", scenes=1)]
     pictures = {name: rng.integers(0, 3, (2, 16, 8), np.uint8) for name in ("image", "labels", "instances")}
-    finish(runs, "bench_dataset", {"rows": rows, "memory": [], "cores": 2}, frames=pictures)
+    finish(runs, "bench_dataset", {"rows": rows, "memory": [], "cores": 2, "load": [0.0, 2.0]}, frames=pictures)
 
 
 def make_thresholds(runs: Path, rng: np.random.Generator, preset: str = "full") -> None:
@@ -223,7 +214,6 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
         make_reproduction,
         make_yaws,
         make_ablations,
-        make_segmenters,
         make_turntable,
         make_poses,
         make_tracks,
@@ -562,7 +552,7 @@ def test_tables_keep_an_empty_line_around_them() -> None:
 
 def test_readme_is_filled_between_its_markers(runs: Path, tmp_path: Path) -> None:
     path = tmp_path / "README.md"
-    path.write_text(MARKED.format("reproduce_paper", "evaluate_segmenters"), encoding="utf-8")
+    path.write_text(MARKED.format("reproduce_paper", "yaw_basin"), encoding="utf-8")
     readme.update((path,), runs, tmp_path / "kept")
     text = path.read_text(encoding="utf-8")
     assert text.startswith("before\n") and text.endswith("after\n") and "of last year" not in text
@@ -593,10 +583,10 @@ def test_before_and_after_stand_side_by_side(tmp_path: Path) -> None:
 
 def test_readme_takes_full_runs_only(tmp_path: Path, rng: np.random.Generator) -> None:
     with pytest.raises(SonarjaxError, match="expected the results of"):
-        readme.block("evaluate_segmenters", tmp_path / "kept")
-    make_segmenters(tmp_path, rng, preset="smoke")
+        readme.block("fit_threshold", tmp_path / "kept")
+    make_thresholds(tmp_path, rng, preset="smoke")
     with pytest.raises(SonarjaxError, match="preset smoke"):
-        readme.keep("evaluate_segmenters", tmp_path, tmp_path / "kept")
+        readme.keep("fit_threshold", tmp_path, tmp_path / "kept")
 
 
 @pytest.mark.parametrize("preset", ["full", "smoke"])

@@ -18,10 +18,10 @@ STREAM = 8_000_000
 def shown(mesh: Mesh, tilt_deg: float, *, seed: int, number: int) -> JudgeFrame:
     """Frame `number` of a `seed`: the object on the floor, seen by a sonar told to be tilted by `tilt_deg` [deg].
 
-    Every other device is the nominal one with a drawn display law, the others are drawn.
+    Half of the devices are the nominal one with a drawn display law, the others are drawn.
     """
     rng = np.random.Generator(np.random.Philox(key=[seed, STREAM + number]))
-    device = Device.nominal().with_drawn_law(rng) if number % 2 == 0 else Device.draw(rng)
+    device = Device.nominal().with_drawn_law(rng) if rng.random() < 0.5 else Device.draw(rng)
     hung = {"tilt": math.radians(tilt_deg), "height": HEIGHT_M}
     sonar = Sonar.preset("didson-hf", range_min=1.5, range_max=4.0, n_ranges=512, **hung)
     setup = Setup(0, tilt_deg, sonar, device, False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 import re
+from functools import partial
 from typing import Any, NoReturn
 
 from sonarjax.io import complain
@@ -28,11 +29,16 @@ class Parser(argparse.ArgumentParser):
         raise SystemExit(2)
 
 
-def add_unit(command: argparse.ArgumentParser) -> None:
-    """Add `--unit-m`, the unit of the command's mesh files."""
+def add_mesh_options(command: argparse.ArgumentParser) -> None:
+    """Add how the command's mesh files are read: `--unit-m` and `--mesh-tolerance`."""
     command.add_argument(
         "--unit-m", metavar="M", type=number, help="length of the mesh file's unit [m], such as 0.001 for millimetres"
     )
+    command.add_argument(
+        "--mesh-tolerance", metavar="M", type=partial(limited, low=0.0, high=1.0),
+        help="how far [m] a mesh of very many triangles may be changed to have fewer (default: too little for the "
+        "sonar to tell; 0: leave it as it is)",
+    )  # fmt: skip
 
 
 def number(text: str) -> float:

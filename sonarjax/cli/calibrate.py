@@ -6,8 +6,9 @@ import argparse
 from functools import partial
 from typing import Any
 
-from sonarjax.cli.arguments import EXITS, FRAME_HELP, add_unit
+from sonarjax.cli.arguments import EXITS, FRAME_HELP, add_mesh_options
 from sonarjax.cli.frames import each_frame, start_jax
+from sonarjax.cli.targets import load_mesh
 from sonarjax.io import check_outputs, complain, naming, say
 
 
@@ -26,7 +27,7 @@ def add(commands: Any) -> None:
     )  # fmt: skip
     command.add_argument("--present", action="store_true", help="every frame shows the target: leave none out")
     command.add_argument("--png", metavar="P", help="a picture for people: frames, and what the fit makes of them")
-    add_unit(command)
+    add_mesh_options(command)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -35,11 +36,11 @@ def run(args: argparse.Namespace) -> int:
     start_jax()
     from sonarjax.calibrate import calibrate, check_free, compare_templates, describe_calibration
     from sonarjax.cpu import CpuEngine
-    from sonarjax.scene import Mesh
     from sonarjax.sonar import Sonar
 
     check_free(args.free)
-    sonar, mesh = Sonar.from_toml(args.sonar), Mesh.load(args.target, args.unit_m)
+    sonar = Sonar.from_toml(args.sonar)
+    mesh = load_mesh(args.target, sonar, args)
     frames = []
     for name, frame in each_frame(args.frames):
         if isinstance(frame, Exception):

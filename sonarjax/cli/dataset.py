@@ -8,9 +8,9 @@ import sys
 from functools import partial
 from typing import Any
 
-from sonarjax.cli.arguments import add_unit, count, limited
+from sonarjax.cli.arguments import add_mesh_options, count, limited
 from sonarjax.cli.frames import CLUSTER_HELP, engine_of, start_jax
-from sonarjax.cli.targets import mesh_files
+from sonarjax.cli.targets import load_mesh, mesh_files
 from sonarjax.data import FORMATS, SENSORS
 from sonarjax.io import say
 
@@ -48,7 +48,7 @@ def add(commands: Any) -> None:
     )
     command.add_argument("--license", metavar="TEXT", default="", help="licence line of the data set's README.md")
     command.add_argument("--cluster", metavar="WHERE", help=CLUSTER_HELP)
-    add_unit(command)
+    add_mesh_options(command)
 
 
 def _shard(text: str) -> tuple[int, int]:
@@ -65,15 +65,10 @@ def run(args: argparse.Namespace) -> int:
     from tqdm import tqdm
 
     from sonarjax.data import FrameSettings, make_dataset
-    from sonarjax.render import check_fits
-    from sonarjax.scene import Mesh
     from sonarjax.sonar import Sonar
 
     sonar = Sonar.from_toml(args.sonar)
-    meshes: dict[str, Mesh] = {}
-    for name, path in mesh_files(args.meshes, "MESH").items():
-        meshes[name] = Mesh.load(path, args.unit_m)
-        check_fits(meshes[name], sonar, path)
+    meshes = {name: load_mesh(path, sonar, args) for name, path in mesh_files(args.meshes, "MESH").items()}
     settings = FrameSettings(args.scenes, args.sensor, args.severity)
     with (
         engine_of(args.cluster) as engine,

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
 
-from sonarjax.cli.arguments import EXITS, FRAME_HELP, add_unit, correlation
+from sonarjax.cli.arguments import EXITS, FRAME_HELP, add_mesh_options, correlation
 from sonarjax.cli.frames import CLUSTER_HELP, Lazy, each_frame, engine_of, start_jax
-from sonarjax.cli.targets import mesh_files
+from sonarjax.cli.targets import load_mesh, mesh_files
 from sonarjax.io import JsonLines, SonarjaxError, check_outputs, complain, naming
 from sonarjax.results import SCHEMA, record_of
 from sonarjax.segment import DEFAULT_SEGMENTER, SEGMENTERS
@@ -47,7 +47,7 @@ def add(commands: Any) -> None:
         help="with --track, how the target may move from frame to frame (default: %(default)s)",
     )  # fmt: skip
     command.add_argument("--cluster", metavar="WHERE", help=CLUSTER_HELP)
-    add_unit(command)
+    add_mesh_options(command)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -60,8 +60,6 @@ def run(args: argparse.Namespace) -> int:
     from sonarjax.cpu import CpuEngine
     from sonarjax.recognize import Recognizer
     from sonarjax.refine import MAP_REFINEMENT
-    from sonarjax.render import check_fits
-    from sonarjax.scene import Mesh
     from sonarjax.segment import check_segmenter
     from sonarjax.sonar import Sonar
     from sonarjax.track import Standing, Tracker, Turning
@@ -69,10 +67,8 @@ def run(args: argparse.Namespace) -> int:
     if args.cluster is not None and args.track:
         raise SonarjaxError("--cluster: a track's frames depend on each other: expected --cluster or --track, not both")
     check_segmenter(args.segmenter)
-    sonar, meshes = Sonar.from_toml(args.sonar), {}
-    for name, file in files.items():
-        meshes[name] = Mesh.load(file, args.unit_m)
-        check_fits(meshes[name], sonar, file)
+    sonar = Sonar.from_toml(args.sonar)
+    meshes = {name: load_mesh(file, sonar, args) for name, file in files.items()}
     targets = meshes if len(meshes) > 1 else next(iter(meshes.values()))  # a single one is called `target`
     refine = None if args.no_refine else MAP_REFINEMENT
     try:  # a sonar that sees no floor, or too much, is refused before any frame is read

@@ -7,8 +7,9 @@ import math
 from functools import partial
 from typing import Any
 
-from sonarjax.cli.arguments import EXITS, add_unit, count, number
+from sonarjax.cli.arguments import EXITS, add_mesh_options, count, number
 from sonarjax.cli.frames import start_jax
+from sonarjax.cli.targets import load_mesh
 from sonarjax.io import check_outputs, complain
 
 MAX_SUB_BEAMS = 64
@@ -33,7 +34,7 @@ def add(commands: Any) -> None:
         "--png", metavar="P",
         help="a picture for people: polar and fan views with axes (for a frame that is data, use FRAME.npz)",
     )  # fmt: skip
-    add_unit(command)
+    add_mesh_options(command)
     command.add_argument(
         "--sub-beams", metavar="N", type=partial(count, high=MAX_SUB_BEAMS),
         help=f"azimuth parts of a beam, 1 to {MAX_SUB_BEAMS} (default: 2)",
@@ -44,12 +45,12 @@ def run(args: argparse.Namespace) -> int:
     """Run the command; returns its exit code. Raises SonarjaxError for input that cannot be used."""
     check_outputs({"--out": args.out, "--png": args.png}, (args.mesh, args.sonar))
     start_jax()
-    from sonarjax.render import RenderQuality, check_fits, render, write_frame
-    from sonarjax.scene import Mesh, Pose
+    from sonarjax.render import RenderQuality, render, write_frame
+    from sonarjax.scene import Pose
     from sonarjax.sonar import Sonar
 
-    sonar, mesh = Sonar.from_toml(args.sonar), Mesh.load(args.mesh, args.unit_m)
-    check_fits(mesh, sonar, args.mesh)
+    sonar = Sonar.from_toml(args.sonar)
+    mesh = load_mesh(args.mesh, sonar, args)
     quality = RenderQuality() if args.sub_beams is None else RenderQuality(sub_beams=args.sub_beams)
     frame = render(mesh, Pose(x=args.x, y=args.y, yaw=math.radians(args.yaw_deg)), sonar, quality=quality)
     write_frame(args.out, frame, sonar)

@@ -1,11 +1,13 @@
-"""Meshes that the command line names: files, or folders of them."""
+"""Meshes that the command line names: files, or folders of them, and how they are read."""
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
-from sonarjax.io import SonarjaxError
+from sonarjax.io import SonarjaxError, complain
 
 MESH_ENDINGS = (".stl", ".obj", ".ply", ".off", ".glb", ".gltf", ".3mf")
 """Endings of the files of a folder that are taken for meshes."""
@@ -36,3 +38,19 @@ def _of_folder(folder: Path, option: str) -> list[str]:
         endings = ", ".join(MESH_ENDINGS)
         raise SonarjaxError(f"{option}: {folder}: expected a folder of meshes, there is no {endings} file in it")
     return [str(path) for path in found]
+
+
+def load_mesh(path: str, sonar: Any, args: argparse.Namespace) -> Any:
+    """The mesh of a file as the options of `add_mesh_options` say; a line on stderr tells what was reduced.
+
+    Raises SonarjaxError for a mesh that cannot be read, or is too large for the sonar's view.
+    """
+    from sonarjax.render import check_fits, reduced_for  # JAX is set up by now
+    from sonarjax.scene import Mesh
+
+    mesh = Mesh.load(path, args.unit_m)
+    check_fits(mesh, sonar, path)
+    found = reduced_for(mesh, sonar, args.mesh_tolerance)
+    if found.after < found.before:
+        complain(f"{path}: {found}; --mesh-tolerance 0 keeps all", kind="note: ")
+    return found.mesh

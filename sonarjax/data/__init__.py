@@ -5,7 +5,8 @@ as PNG files. `make_dataset` writes whole frames with instance masks, boxes and 
 the resampling that training and inference share.
 """
 
-from sonarjax.data.crops import PATCH, Box, cut_box, cut_labels, draw_box, paste_patch
+from sonarjax.crops import PATCH, Box, cut_box, paste_patch
+from sonarjax.data.crops import cut_labels, draw_box
 from sonarjax.data.dataset import make_dataset
 from sonarjax.data.folder import export_pairs, import_pairs
 from sonarjax.data.formats import FORMATS

@@ -1,58 +1,21 @@
-"""Cut crops from frames: a box of any size, resampled to a fixed shape, and the labels of what it shows.
-
-The same functions serve training and inference, because a network knows only the resampling with which it was trained.
-"""
+"""Random crops of training frames, and the labels of what is in them."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt8
 
+from sonarjax.crops import LEAST, PATCH, Box, cut_box
 from sonarjax.data.draws import Stream
-
-PATCH = (128, 128)
-"""Shape (range, beam) of a crop [pixels]."""
-
 
 CROP_SHARES = (0.7, 0.1, 0.08, 0.12)
 """Probability that a crop holds object and shadow with a margin, cuts off their far part, lies anywhere, or is
 the complete frame.
 """
-LEAST = (40, 12)
-"""Least size of a random crop (range, beam) [pixels]."""
 MARGIN, MARGIN_OF_FRAME = (0.0, 0.6), (0.0, 0.06)
 """Least and largest margin on each side of the object: `MARGIN` times the object's extent plus
 `MARGIN_OF_FRAME` times the frame's.
 """
-
-
-class Box(NamedTuple):
-    """A part of a frame. Its edges need not lie on pixel edges."""
-
-    top: Float[Array, ""] | float
-    """Near edge [range bins]."""
-    left: Float[Array, ""] | float
-    """Starboard edge [beams]."""
-    rows: Float[Array, ""] | float
-    """Extent in range [range bins]."""
-    columns: Float[Array, ""] | float
-    """Extent in azimuth [beams]."""
-
-
-def cut_box(
-    image: Float[Array, "range beam"], box: Box, shape: tuple[int, int] = PATCH
-) -> Float[Array, "patch_range patch_beam"]:
-    """Resample a part of an image (range, beam) to `shape` (patch_range, patch_beam): linear, averaging where it
-    shrinks.
-
-    It is zero beyond the frame. Differentiable, in the box too, and works under jit and vmap.
-    """
-    scale = jnp.stack([shape[0] / jnp.asarray(box.rows), shape[1] / jnp.asarray(box.columns)])
-    corner = jnp.stack([jnp.asarray(box.top, jnp.float32), jnp.asarray(box.left, jnp.float32)])
-    return jax.image.scale_and_translate(image, shape, (0, 1), scale, -corner * scale, "linear", antialias=True)
 
 
 def cut_labels(
@@ -67,20 +30,6 @@ def cut_labels(
     hidden = cut_box(shadow * (1 - highlight), box, shape)
     lit = cut_box(highlight, box, shape)
     return jnp.argmax(jnp.stack([1 - lit - hidden, lit, hidden]), axis=0).astype(jnp.uint8)
-
-
-def paste_patch(
-    patch: Float[Array, "patch_range patch_beam"], box: Box, shape: tuple[int, int], outside: float = 0.5
-) -> Float[Array, "range beam"]:
-    """The inverse of `cut_box`: put a crop (patch_range, patch_beam) back into a frame of `shape` (range, beam).
-
-    Pixels outside the box are set to `outside`, by default the grey of background.
-    """
-    rows, columns = patch.shape
-    scale = jnp.stack([jnp.asarray(box.rows) / rows, jnp.asarray(box.columns) / columns])
-    corner = jnp.stack([jnp.asarray(box.top, jnp.float32), jnp.asarray(box.left, jnp.float32)])
-    placed = jax.image.scale_and_translate(patch - outside, shape, (0, 1), scale, corner, "linear", antialias=True)
-    return placed + outside
 
 
 def touched_span(touched: Bool[Array, "pixel"]) -> tuple[Int[Array, ""], Int[Array, ""]]:

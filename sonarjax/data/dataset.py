@@ -33,7 +33,7 @@ from sonarjax.sensor import SensorModel
 from sonarjax.sonar import Sonar
 
 SETTINGS, PARTS, SHEET, CARD = "dataset.json", "parts", "contact_sheet.png", "README.md"
-VERSION = 1
+VERSION = 2
 """Of the folder's layout, and of how frames are drawn from their numbers."""
 MOST_FRAMES = 2**31
 SENSOR_FIELDS = tuple(field.name for field in dataclasses.fields(SensorModel))
@@ -263,7 +263,8 @@ def _finish(target: Path, plan: Plan, facts: dict[str, Any]) -> None:
         _write_lines(target / "annotations.json", _coco(target, plan))
     if plan.format == "yolo":
         names = "".join(f"  {k}: {json.dumps(name)}\n" for k, name in enumerate(category_names(plan.axes.names)))
-        write_text(target / "data.yaml", f"path: .\ntrain: images\nval: images\nnames:\n{names}")
+        # Without `path`, which readers take from where they are started: then the folder is where the file lies.
+        write_text(target / "data.yaml", f"train: images\nval: images\nnames:\n{names}")
     write_text(target / CARD, card_text(facts, summary, plan.axes))
 
 

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt8
 
-from sonarjax.data.crops import PATCH
+from sonarjax.crops import PATCH
 from sonarjax.data.pairs import Pairs, PairSettings
 from sonarjax.io import SonarjaxError, read_bytes, write_png, write_text
 from sonarjax.io.files import reason

@@ -135,15 +135,17 @@ def _draw_frame(
     model = _draw_model(settings, key=model_key)
     mesh, objects = join_layout(meshes, layout, room)
 
-    def reaching(aperture: Array) -> Any:
-        window = Window(0, 0, sonar.shape, columns)
-        return render_objects(
-            mesh, objects, Pose(), sonar.replace(elevation_aperture=aperture), window, settings.quality
-        )
+    window = Window(0, 0, sonar.shape, columns)
 
-    # One after the other, so that the renderer is compiled once.
-    apertures = [jnp.asarray(s.elevation_aperture, jnp.float32) for s in (sonar, with_skirts(sonar))]
-    both, layers = jax.lax.map(reaching, jnp.stack(apertures))
+    def reaching(how: tuple[Array, Array]) -> Any:
+        aperture, apart = how
+        wide = sonar.replace(elevation_aperture=aperture)
+        return render_objects(mesh, objects, Pose(), wide, window, settings.quality, apart)
+
+    # Labels in the sonar's own aperture, the image in a wider one: one after the other, so that the renderer is
+    # compiled once.
+    apertures = jnp.stack([jnp.asarray(s.elevation_aperture, jnp.float32) for s in (sonar, with_skirts(sonar))])
+    both, layers = jax.lax.map(reaching, (apertures, jnp.array([True, False])))
     frame, seen = (replace(jax.tree.map(lambda v, k=k: v[k], both), sonar=sonar) for k in (0, 1))
     bounces = render_bounces(mesh, Pose(), sonar, model)
     image = observe(seen, model, key=noise_key, bounces=bounces)

@@ -15,7 +15,8 @@ import jax.numpy as jnp
 from jax.random import fold_in
 from jaxtyping import Array, Float, UInt8
 
-from sonarjax.data.crops import cut_box, cut_labels, draw_box
+from sonarjax.crops import TRAINING_FRAME, cut_box
+from sonarjax.data.crops import cut_labels, draw_box
 from sonarjax.data.materials import draw_reflectivity
 from sonarjax.data.objects import draw_shape
 from sonarjax.data.scenes import render_scenes
@@ -42,9 +43,9 @@ VMAPPED = 64  # the same on an accelerator, where they are computed at once
 class PairSettings:
     """What all pairs have in common. Hashable, so that it can be a static argument under `jax.jit`."""
 
-    n_ranges: int = 256
+    n_ranges: int = TRAINING_FRAME[0]
     """Range bins of the frame from which a pair is cut."""
-    n_beams: int = 64
+    n_beams: int = TRAINING_FRAME[1]
     """Beams of that frame."""
     severity: tuple[float, float] = (0.0, 2.0)
     """Least and largest severity of the sensor model [1], drawn uniformly."""

@@ -89,7 +89,8 @@ def to_bag(specs: Sequence[str], out: str, options: FanOptions = FanOptions()) -
     for name in FanOptions.__dataclass_fields__:
         if getattr(options, name) not in (None, False):
             raise SonarjaxError(f"{_option(name)}: expected none with a bag as --out, got {out!r}")
-    return f"{out}: {write_bag(out, chain.from_iterable(map(iter_frames, specs)))} frames"
+    count = write_bag(out, chain.from_iterable(map(iter_frames, specs)))
+    return f"{out}: {count} frame{'' if count == 1 else 's'}"
 
 
 def convert(frame: Frame, out: str, options: FanOptions = FanOptions()) -> str:

@@ -142,7 +142,7 @@ def _record(reader: Any, path: str, connection: Any, raw: Any, number: int, coun
         return error
     except Exception as error:  # on a damaged message rosbags raises whatever its parts raise
         return SonarjaxError(f"{source}: expected a {MESSAGE}: {reason(error)}")
-    frame.meta["n_frames"] = count
+    frame.meta.update(topic=connection.topic, n_frames=count)
     return frame
 
 

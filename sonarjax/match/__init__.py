@@ -7,7 +7,7 @@ records. `TargetSearch` holds the banks of one target at all distances; `FirstLo
 from sonarjax.match.decision import Decision, Peaks, between_bins, decide, peaks
 from sonarjax.match.first_look import FirstLook, Sighting, leading
 from sonarjax.match.lean import LeanMatch, LeanSearch, LeanSearchConfig
-from sonarjax.match.low_rank import LowRankBank, low_rank_bank, match_low_rank
+from sonarjax.match.low_rank import LowRankBank, low_rank_bank, match_low_rank, scores_at
 from sonarjax.match.ncc import (
     MatchPositions,
     PreparedBank,
@@ -44,5 +44,6 @@ __all__ = [
     "match_positions",
     "peaks",
     "prepare_bank",
+    "scores_at",
     "template_spectra",
 ]

@@ -30,6 +30,8 @@ SLACK_ROWS = 2
 """Coarse range bins beyond the middle between two distances that are searched."""
 SIZE_STEP = 16
 """Boxes are rounded up to so many coarse range bins and beams: few shapes to be compiled."""
+EVERY = 2
+"""Templates are tried at every so many beams: half a step is little beside the width of an object."""
 LEADS = (1.0, 0.5)
 """Share of `SearchConfig.lead` that counts on the map, and on the frame itself."""
 ALWAYS = 2
@@ -235,4 +237,4 @@ def _look(canvas: Array, scale: Array, planes: Array, coefficients: Array) -> Ma
     """The best window of each template on a `canvas`, whose windows have norms 1 / `scale` (row, col)."""
     frame, shape = frame_spectrum(canvas), (scale.shape[0], scale.shape[1])
     maps = over_chunks(lambda part: correlate(frame, part, shape) * scale, planes)
-    return combined(maps.reshape(-1, *shape)[: coefficients.shape[1]], coefficients)
+    return combined(maps.reshape(-1, *shape)[: coefficients.shape[1], :, ::EVERY], coefficients)

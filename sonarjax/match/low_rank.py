@@ -1,7 +1,8 @@
 """Eq. 4 for banks of many templates: one for all yaws is of low rank, so a few components stand for all of them.
 
 Takes a bank (template, h, w), returns a `LowRankBank`; a frame is then matched with its components, and the templates'
-maps are their combinations. Optional, for speed: `match_bank` needs none of it. A truncated SVD of the unit templates
+maps are their combinations; `scores_at` then takes eq. 4 itself where each fits best. Optional, for speed: `match_bank`
+needs none of it. A truncated SVD of the unit templates
 (Eckart & Young 1936) is found by subspace iteration (Halko, Martinsson & Tropp 2011) from evenly chosen templates.
 """
 
@@ -15,8 +16,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.match.masked import NEAR_CONSTANT
 from sonarjax.match.ncc import AnyArray, MatchPositions, PreparedBank, correlation_maps, prepare_bank
-from sonarjax.match.spectra import check_shapes, unit_templates
+from sonarjax.match.spectra import check_shapes, inverse_root, unit_templates
 from sonarjax.records import record
 
 PASSES, SPARE = 3, 8
@@ -118,3 +120,30 @@ def combined(
 
     found = jax.lax.map(chunk, padded)
     return MatchPositions(*(values.reshape(-1)[:count] for values in found))
+
+
+def scores_at(image: Float[AnyArray, "range beam"], bank: Any, places: MatchPositions) -> Float[Array, "template"]:
+    """Eq. 4 itself of each template of `bank` (template, h, w) in its own window of `image` (range, beam).
+
+    After `match_low_rank`: a template's largest score (template,) is no less than this, and no more than what was found
+    plus the template's `residual`. Raises SonarjaxError where shapes do not fit.
+    """
+    image, templates = jnp.asarray(image, jnp.float32), jnp.asarray(getattr(bank, "templates", bank), jnp.float32)
+    check_shapes(templates.shape, image.shape)
+    if places.row.shape != templates.shape[:1]:
+        raise SonarjaxError(f"places: expected one for each of {len(templates)} templates, got {places.row.shape}")
+    return _scores_at(image, templates, places)
+
+
+@jax.jit
+def _scores_at(image: Array, templates: Array, places: MatchPositions) -> Array:
+    centred = image - jnp.mean(image)
+    floor = NEAR_CONSTANT * jnp.sum(jnp.square(centred))
+
+    def one(item: tuple[Array, Array, Array]) -> Array:
+        unit, row, column = item
+        window = jax.lax.dynamic_slice(centred, (row, column), unit.shape)
+        window = window - jnp.mean(window)
+        return jnp.sum(unit * window) * inverse_root(jnp.sum(jnp.square(window)), floor)
+
+    return jax.lax.map(one, (unit_templates(templates), places.row, places.col))

@@ -61,7 +61,8 @@ class SearchConfig:
     candidates: int = 5
     """Of several targets, so many are refined and compared at most: those that a first look at all finds best.
 
-    On validation frames more of them find the right one no more often (experiments/fit_candidates.py)."""
+    With more the right one is among them a little more often, and a frame takes longer
+    (experiments/fit_candidates.py)."""
     lead: float = 0.1
     """A target that the first look finds so much worse than the best is none of them: correlation with the map, or half
     of that with the frame itself. The two best always are."""

@@ -1,6 +1,6 @@
 """Continuous pose: objective, solver, error bars and implicit derivative (beyond the paper)."""
 
-from sonarjax.refine.candidates import COMPARISON, Look, compared, look_closely, plan_shared, quick_evidence
+from sonarjax.refine.candidates import COMPARISON, Look, apart, compared, look_closely, plan_shared, quick_evidence
 from sonarjax.refine.config import RefineConfig
 from sonarjax.refine.errorbar import ERROR_BAR, ErrorBar
 from sonarjax.refine.evidence import Evidence, gather_evidence
@@ -37,7 +37,7 @@ from sonarjax.refine.yaw_set import (
 __all__ = [
     "COMPARISON", "ERROR_BAR", "FINDING", "FRAME_BLURS", "FRAME_ITERATIONS", "MAP_REFINEMENT", "SAME_YAW",
     "YAW_WEIGHTS", "Candidate", "Drawn", "ErrorBar", "Evidence", "Look", "PoseEstimate", "PoseFinder", "RefineConfig",
-    "Start", "YawEstimate", "YawInterval", "YawMode", "YawSet", "YawWeights", "compared", "curve_evidence",
+    "Start", "YawEstimate", "YawInterval", "YawMode", "YawSet", "YawWeights", "apart", "compared", "curve_evidence",
     "gather_evidence", "in_common", "in_view", "is_kept", "locate", "look_closely", "make_starts", "make_yaw_set",
     "merged", "on_frame", "peak_bins", "plan_refinement", "plan_shared", "prepare_refinement", "quick_evidence",
     "refine_and_draw", "refine_pose", "refine_start", "refine_yaw", "shares",

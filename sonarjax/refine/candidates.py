@@ -22,8 +22,8 @@ from sonarjax.sonar import Sonar
 QUICK_ITERATIONS = 1
 """Renders at each blur of the quick refinement."""
 COMPARISON: Mapping[str, float] = {
-    "map_fit": 8.53, "frame_fit": 10.2, "coarse_fit": 0.15, "unexplained": -9.43, "left_over": -0.42,
-    "frame_peak": 6.65, "score_bank": 9.87,
+    "map_fit": 9.05, "frame_fit": 13.4, "coarse_fit": 0.207, "unexplained": -10.6, "left_over": -0.701,
+    "frame_peak": 6.43, "score_bank": 10.1,
 }  # fmt: skip
 """Weight of each number in the log-odds that a candidate is the one that is shown, from validation frames
 (experiments/fit_candidates.py). How far it stands out over yaw is no part of it: that tells of its symmetry."""
@@ -87,7 +87,7 @@ def quick_evidence(
     `seen` is the map of the frame; `window` tells the window that a target at a pose needs. With `score_bank`.
     """
     brief = replace(on_frame(config), iterations=QUICK_ITERATIONS)
-    starts = [(k, start) for k, look in enumerate(looks) for start in _apart(make_starts(*look, seen, image, 1))]
+    starts = [(k, start) for k, look in enumerate(looks) for start in apart(make_starts(*look, seen, image, 1))]
 
     def refined(numbered: tuple[int, Start]) -> tuple[int, dict[str, float]]:
         k, start = numbered
@@ -112,7 +112,7 @@ def compared(looks: Sequence[Look], evidence: Sequence[Mapping[str, float]]) -> 
     return [(looks[k], float(shares[k])) for k in np.argsort(-odds, kind="stable")]
 
 
-def _apart(starts: list[Start]) -> list[Start]:
+def apart(starts: list[Start]) -> list[Start]:
     """The starts without those that begin as one before them does."""
     kept: list[Start] = []
     for start in starts:

@@ -87,10 +87,20 @@ def _sparse(vertices: Array, faces: Array, seen: Array, azimuth: Array, limit: i
     owner = jnp.minimum(owner, len(faces) - 1)
     slab = first[owner] + jnp.arange(pairs, dtype=jnp.int32) - (ends - count)[owner]
     slab = jnp.where(jnp.arange(pairs) < ends[-1], slab, len(azimuth))
-    slab, owner = jax.lax.sort((slab, owner), num_keys=1)
+    slab, owner = _by_slab(slab, owner, len(azimuth))
     rank = jnp.arange(pairs) - jnp.searchsorted(slab, slab, side="left")
     table = jnp.full((len(azimuth), limit), -1, jnp.int32)
     crowded = jnp.where(slab < len(azimuth), rank + 1 - limit, 0).max()
     left_over = -(-2 * (ends[-1] - pairs) // max(len(azimuth), 1))  # pairs that the list lacks, as room in each slice
     overflow = jnp.maximum(jnp.maximum(crowded, left_over), 0).astype(jnp.int32)
     return table.at[slab, rank].set(owner, mode="drop"), overflow
+
+
+def _by_slab(slab: Int[Array, "pair"], owner: Int[Array, "pair"], slabs: int) -> tuple[Array, Array]:
+    """Both in ascending order of slab, where pairs of one slab keep theirs."""
+    pairs = len(slab)
+    if (slabs + 1) * pairs > jnp.iinfo(jnp.int32).max:
+        slab, owner = jax.lax.sort((slab, owner), num_keys=1)
+        return slab, owner
+    key = jnp.sort(slab * pairs + jnp.arange(pairs, dtype=jnp.int32))  # one sort of plain numbers: several times faster
+    return key // pairs, owner[key % pairs]

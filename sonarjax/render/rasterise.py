@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 
 def covered(
@@ -22,6 +22,23 @@ def covered(
     """
     shares = jnp.where(present[..., None], _overlap(middle, half, rows), 0.0)
     return jnp.clip(jnp.diff(shares.sum(axis=1), axis=-1), 0.0, 1.0)
+
+
+def covered_by_each(
+    middle: Float[Array, "slab 2 item"],
+    half: Float[Array, "slab 2 item"],
+    present: Bool[Array, "slab item"],
+    rows: int,
+    owner: Int[Array, "slab item"],
+    owners: int,
+) -> tuple[Float[Array, "slab range"], Float[Array, "owner slab range"]]:
+    """As `covered`, and the same share (owner, slab, `rows`) of the items of each `owner` (slab, item), 0 and on."""
+    overlap = jnp.where(present[..., None], _overlap(middle, half, rows), 0.0)
+    own = (owner[..., None] == jnp.arange(owners)).astype(jnp.float32)
+    # One product for all owners: the overlaps, which are most of the work, are computed once.
+    shares = jnp.einsum("sio,sie->ose", own, overlap, precision=jax.lax.Precision.HIGHEST)
+    parts = jnp.diff(shares, axis=-1)
+    return jnp.clip(parts.sum(axis=0), 0.0, 1.0), jnp.clip(parts, 0.0, 1.0)
 
 
 def spread(

@@ -34,7 +34,9 @@ class WindowSize:
         return beams and all(mine >= needed for mine, needed in zip(self.shape, other.shape, strict=True))
 
 
-def plan_window(mesh: Mesh, sonar: Sonar, ground_range: float, slack: float = 0.0) -> WindowSize:
+def plan_window(
+    mesh: Mesh, sonar: Sonar, ground_range: float, slack: float = 0.0, row_step: int = ROW_STEP
+) -> WindowSize:
     """Plan the size of a window that holds an object and its shadow. A host function.
 
     Args:
@@ -42,11 +44,15 @@ def plan_window(mesh: Mesh, sonar: Sonar, ground_range: float, slack: float = 0.
         sonar: The sonar; holds concrete numbers.
         ground_range: Horizontal distance of the object [m].
         slack: How far the object may be from there [m].
+        row_step: The window's rows are a multiple of this.
     """
-    return WindowSize(window_shape(mesh, sonar, ground_range, slack), object_columns(mesh, sonar, ground_range, slack))
+    shape = window_shape(mesh, sonar, ground_range, slack, row_step)
+    return WindowSize(shape, object_columns(mesh, sonar, ground_range, slack))
 
 
-def window_shape(mesh: Mesh, sonar: Sonar, ground_range: float, slack: float = 0.0) -> tuple[int, int]:
+def window_shape(
+    mesh: Mesh, sonar: Sonar, ground_range: float, slack: float = 0.0, row_step: int = ROW_STEP
+) -> tuple[int, int]:
     """Pixels (range, beam) that hold the object and its shadow at `ground_range` [m] and up to `slack` [m] around it.
 
     `sonar` must hold concrete numbers. Never more than the frame.
@@ -55,8 +61,8 @@ def window_shape(mesh: Mesh, sonar: Sonar, ground_range: float, slack: float = 0
     near, far = _slant_extent(mesh, sonar, ground_range, slack)
     rows = math.ceil((far - near) / float(sonar.range_bin)) + 2 * MARGIN_BINS + 4
     columns = math.ceil(_azimuth_width(mesh, sonar, ground_range, reach) / _spacing(sonar)) + 2 * MARGIN_BEAMS + 2
-    rows, columns = -(-rows // ROW_STEP) * ROW_STEP, -(-columns // COLUMN_STEP) * COLUMN_STEP
-    return min(max(rows, ROW_STEP), sonar.n_ranges), min(columns, sonar.n_beams)
+    rows, columns = -(-rows // row_step) * row_step, -(-columns // COLUMN_STEP) * COLUMN_STEP
+    return min(max(rows, row_step), sonar.n_ranges), min(columns, sonar.n_beams)
 
 
 def object_columns(mesh: Mesh, sonar: Sonar, ground_range: float, slack: float = 0.0) -> int:

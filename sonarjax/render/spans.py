@@ -9,6 +9,7 @@ vertices.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -34,6 +35,8 @@ from sonarjax.scene.mesh import CREASE_ANGLE
 EMPTY_TAU = 1e-7  # an interval narrower than this counts as empty
 HORIZON = 1e-4  # least 1/planar range [1/m]: farther surfaces are put at 10 km
 MOST_ITEMS = 12  # most spans of a kind that a slice keeps, where spans are not told apart by object
+BLOCK = 32  # longest axis that XLA reduces in one plain loop
+LONGEST_PRODUCT = 128  # intervals up to which a product of matrices counts faster than `cumsum`
 SMOOTH_COSINE = math.cos(CREASE_ANGLE)  # a sharper bend is an edge of the body
 GAP = 1e-4  # relative step in range that ends an echo span: ten times float32's error, below any sonar's resolution
 
@@ -135,12 +138,12 @@ def find_spans(
     nearest = jnp.minimum(jnp.minimum(start, end), perpendicular_range)
     number = jnp.arange(solid.shape[1])
     near, far = _extreme(nearest, echo_span, -1), _extreme(jnp.maximum(start, end), echo_span, 1)
-    lower = jnp.where(occluded_span, number[:, None], len(number) - 1).min(axis=1)
-    upper = jnp.where(occluded_span, number[:, None], 0).max(axis=1)
+    lower = _over_intervals(jnp.min, jnp.where(occluded_span, number[:, None], len(number) - 1))
+    upper = _over_intervals(jnp.max, jnp.where(occluded_span, number[:, None], 0))
     at_end = jnp.take_along_axis(end - start, jnp.concatenate([near, far], axis=1), axis=1)
     nearest_at_perpendicular = jnp.take_along_axis(perpendicular_range < jnp.minimum(start, end), near, axis=1)
     upper_end = jnp.concatenate([at_end[:, : items[0]] < 0, at_end[:, items[0] :] > 0], axis=1)
-    echo_spans, occluded_spans = echo_span.any(axis=1), occluded_span.any(axis=1)
+    echo_spans, occluded_spans = _over_intervals(jnp.any, echo_span), _over_intervals(jnp.any, occluded_span)
     no, never = (
         jnp.zeros_like(occluded_spans),
         jnp.zeros_like(jnp.concatenate([echo_spans, occluded_spans, occluded_spans], axis=1)),
@@ -177,8 +180,22 @@ def _previous(values: Array) -> Array:
 
 def _chain(member: Bool[Array, "slab interval"], starts: Bool[Array, "slab interval"], items: int) -> Array:
     """Which chain each interval belongs to (slab, interval, item); chains are numbered from the lowest elevation."""
-    number = jnp.minimum(jnp.cumsum(starts, axis=1) - 1, items - 1)
+    number = jnp.minimum(_running_count(starts) - 1, items - 1)
     return member[..., None] & (number[..., None] == jnp.arange(items))
+
+
+def _running_count(flags: Bool[Array, "slab interval"]) -> Int[Array, "slab interval"]:
+    """How many flags are set up to each interval, as `cumsum`: a small product of matrices is far faster."""
+    count = flags.shape[1]
+    if count > LONGEST_PRODUCT:
+        return jnp.cumsum(flags, axis=1)
+    return (flags.astype(jnp.float32) @ jnp.triu(jnp.ones((count, count)))).astype(jnp.int32)  # exact below 2**24
+
+
+def _over_intervals(reduce: Callable[..., Array], values: Array) -> Array:
+    """`reduce` (a minimum, a maximum, any) over axis 1, in blocks: XLA's CPU code for one long axis is far slower."""
+    blocks = jnp.array_split(values, -(-values.shape[1] // BLOCK), axis=1)
+    return reduce(jnp.stack([reduce(block, axis=1) for block in blocks]), axis=0)
 
 
 def _extreme(value: Float[Array, "slab interval"], chain: Bool[Array, "slab interval item"], sign: int) -> Array:
@@ -189,9 +206,9 @@ def _extreme(value: Float[Array, "slab interval"], chain: Bool[Array, "slab inte
     bits = (value.shape[1] - 1).bit_length()
     key = ((value.astype(jnp.float32).view(jnp.int32) >> bits) << bits) | jnp.arange(value.shape[1])
     if sign > 0:
-        best = jnp.where(chain, key[..., None], 0).max(axis=1)
+        best = _over_intervals(jnp.max, jnp.where(chain, key[..., None], 0))
     else:
-        best = jnp.where(chain, key[..., None], jnp.iinfo(jnp.int32).max).min(axis=1)
+        best = _over_intervals(jnp.min, jnp.where(chain, key[..., None], jnp.iinfo(jnp.int32).max))
     # An empty chain has no interval. Any index inside the array will do; one outside would read NaN.
     return jnp.minimum(best & ((1 << bits) - 1), value.shape[1] - 1)
 

@@ -65,19 +65,18 @@ def _nearest(segments: Segments, tau: Float[Array, "slab point"]) -> Int[Array, 
     count = segments.hit.shape[1]
     bits = (count - 1).bit_length()
     low = jnp.where(segments.hit, segments.tau[..., 0] - TOUCH, jnp.inf)
-    columns = (
-        jnp.arange(count),
-        *(v.T for v in (low, segments.tau[..., 1] + TOUCH, *jnp.moveaxis(segments.line, -1, 0))),
-    )
+    columns = [v.T for v in (low, segments.tau[..., 1] + TOUCH, *jnp.moveaxis(segments.line, -1, 0))]
 
-    def closer(best: Array, candidate: tuple[Array, ...]) -> tuple[Array, None]:
-        number, low, high, a, b = candidate
-        s = a[:, None] + b[:, None] * tau
+    def closer(number: Array, best: Array) -> Array:
+        low, high, a, b = (jax.lax.dynamic_index_in_dim(v, number, keepdims=False)[:, None] for v in columns)
+        s = a + b * tau
         key = ((s.view(jnp.int32) >> bits) << bits) | number
-        active = (tau >= low[:, None]) & (tau <= high[:, None]) & (s > 0)
-        return jnp.where(active, jnp.maximum(best, key), best), None
+        active = (tau >= low) & (tau <= high) & (s > 0)
+        return jnp.where(active, jnp.maximum(best, key), best)
 
-    key, _ = jax.lax.scan(closer, jnp.full(tau.shape, -1, jnp.int32), columns)
+    # A CPU stops at the last candidate of the fullest slice; elsewhere a loop of unknown length waits for each turn.
+    used = jnp.where(segments.hit, jnp.arange(1, count + 1), 0).max() if jax.default_backend() == "cpu" else count
+    key = jax.lax.fori_loop(0, used, closer, jnp.full(tau.shape, -1, jnp.int32))
     return jnp.where(key < 0, -1, key & ((1 << bits) - 1))
 
 

@@ -7,6 +7,7 @@ The stages, each in its own file: azimuth slabs (`slabs`); the triangles that ea
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -19,7 +20,7 @@ from sonarjax.render.energy import floor_energy, floor_lit, object_energy
 from sonarjax.render.frame import RenderQuality, SonarFrame, Window
 from sonarjax.render.materialise import materialised
 from sonarjax.render.platform import platform_lit, platform_span
-from sonarjax.render.rasterise import covered, spread
+from sonarjax.render.rasterise import covered, covered_by_each, spread
 from sonarjax.render.segments import Segments, View, cut
 from sonarjax.render.slabs import Slabs, event_azimuths, make_slabs
 from sonarjax.render.spans import (
@@ -89,10 +90,11 @@ def find_visible(
     seen = front_faces(fixed.vertices, fixed.faces, mesh.closed)
     # `materialised` keeps XLA from fusing a stage into each of its uses, which would cost compile time and run time.
     table, overflow = candidates(fixed.vertices, fixed.faces, seen, azimuth, mesh.crossings, mesh.front)
+    shared = corners_of(fixed, table) if len(table) == 1 else None  # of one list for all slabs: looked up once
     table = jnp.broadcast_to(table, (len(azimuth), table.shape[1]))
 
     def cut_slabs(azimuth: Array, table: Array) -> Segments:
-        segments = cut(corners_of(fixed, table), azimuth[:, None], fixed.view)
+        segments = cut(corners_of(fixed, table) if shared is None else shared, azimuth[:, None], fixed.view)
         return segments._replace(hit=segments.hit & (table >= 0))
 
     def spans_of(intervals: VisibleIntervals, segments: Segments, table: Array, azimuth: Array) -> Spans:
@@ -124,7 +126,16 @@ def render_window(mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, quality:
         window: The part of the image to render.
         quality: How finely to render.
     """
-    return render_objects(mesh, None, pose, sonar, window, quality)[0]
+    seen = _look(mesh, None, pose, sonar, window, quality)
+    return _frame_of(seen, _shares(seen), _echo(seen, mesh, quality), window)
+
+
+def render_afloat(mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, quality: RenderQuality) -> SonarFrame:
+    """As `render_window` where the floor is out of sight: no echo of it, and no shadow on it."""
+    seen = _look(mesh, None, pose, sonar, window, quality)
+    highlight = _per_beam(seen.slabs, covered(*seen.echo_spans, seen.visible.spans.echo_spans, window.shape[0]))
+    echo = jnp.maximum(_echo(seen, mesh, quality), 0.0)
+    return SonarFrame(echo, highlight, jnp.zeros_like(highlight), highlight > 0.5, seen.visible.overflow, sonar)
 
 
 class ObjectLayers(NamedTuple):
@@ -137,38 +148,92 @@ class ObjectLayers(NamedTuple):
 
 
 def render_objects(
+    mesh: Mesh, objects: Objects, pose: Pose, sonar: Sonar, window: Window, quality: RenderQuality,
+    apart: Bool[Array, ""] | bool,
+) -> tuple[SonarFrame, ObjectLayers]:  # fmt: skip
+    """As `render_window`; where `apart`, also what each of the `objects` in the mesh adds to highlight and shadow.
+
+    The echoes of the objects are left out of such a frame's intensity: labels need none, and it is a third of the work.
+    Where not `apart`, the layers are zero.
+    """
+    seen = _look(mesh, objects, pose, sonar, window, quality)
+    rows, beams = window.shape
+
+    def told_apart() -> tuple[tuple[Array, Array], Array, ObjectLayers]:
+        spans, owner = seen.visible.spans, objects.owner[jnp.maximum(seen.visible.spans.ends.surface, 0)]
+        n_echo, n_occluded = spans.echo_spans.shape[1], spans.occluded_spans.shape[1]
+        echo = (spans.echo_spans, rows, owner[:, :n_echo], objects.total)
+        occluded = (spans.occluded_spans, rows, owner[:, 2 * n_echo : 2 * n_echo + n_occluded], objects.total)
+        shown, highlights = covered_by_each(*seen.echo_spans, *echo)
+        hidden, shadows = covered_by_each(*seen.occluded_spans, *occluded)
+        shares = _per_beam(seen.slabs, shown), _per_beam(seen.slabs, hidden)
+        per_beam = jax.vmap(partial(_per_beam, seen.slabs))
+        return shares, jnp.zeros((rows, beams)), ObjectLayers(per_beam(highlights), per_beam(shadows))
+
+    def together() -> tuple[tuple[Array, Array], Array, ObjectLayers]:
+        none = jnp.zeros((objects.total, rows, beams))
+        return _shares(seen), _echo(seen, mesh, quality), ObjectLayers(none, none)
+
+    shares, echo, layers = jax.lax.cond(apart, told_apart, together)
+    return _frame_of(seen, shares, echo, window), layers
+
+
+class _Seen(NamedTuple):
+    """All that a window shows, before it is sorted into range bins."""
+
+    scene: Scene
+    """The surface in the sonar frame."""
+    slabs: Slabs
+    """Azimuth slabs."""
+    visible: VisibleProfile
+    """What is seen in the middle of each."""
+    echo_spans: tuple[Array, Array]
+    """Both ends (slab, 2, item) [bins] mid-slab, and half their sweep."""
+    occluded_spans: tuple[Array, Array]
+    """The same of hidden floor."""
+    edges: Float[Array, "edge"]
+    """Range bin edges [m]."""
+    sonar: Sonar
+    """What looks."""
+
+
+def _look(
     mesh: Mesh, objects: Objects | None, pose: Pose, sonar: Sonar, window: Window, quality: RenderQuality
-) -> tuple[SonarFrame, ObjectLayers | None]:
-    """As `render_window`, and what each of the `objects` in the mesh adds to highlight and shadow."""
-    elevations = quality.elevations
-    rows, columns = window.shape
+) -> _Seen:
     scene = in_sonar_frame(mesh, pose, sonar)
     slabs = _slabs_of(mesh, scene, sonar, window, quality.sub_beams)
-    visible = find_visible(mesh, scene, slabs, sonar, elevations, objects=objects)
-    edges, azimuth = _edges_of(sonar, window), _columns(jnp.asarray(sonar.azimuth), window.column, columns)
+    visible = find_visible(mesh, scene, slabs, sonar, quality.elevations, objects=objects)
+    edges = _edges_of(sonar, window)
     echo_spans, occluded_spans = _swept_ends(visible.spans, slabs, scene, sonar, edges)
-    echo_spans = _pulsed(*echo_spans, sonar)
-    highlight = _per_beam(slabs, covered(*echo_spans, visible.spans.echo_spans, rows))
-    shadow = _per_beam(slabs, covered(*occluded_spans, visible.spans.occluded_spans, rows))
-    ends = all_ends(visible.intervals, visible.segments, visible.table)
-    echo = _per_beam(slabs, object_energy(ends, slabs, scene, sonar, elevations, edges, mesh.reflectivity))
+    return _Seen(scene, slabs, visible, _pulsed(*echo_spans, sonar), occluded_spans, edges, sonar)
+
+
+def _shares(seen: _Seen) -> tuple[Float[Array, "range beam"], Float[Array, "range beam"]]:
+    """Highlight and shadow."""
+    spans, rows = seen.visible.spans, len(seen.edges) - 1
+    shown = covered(*seen.echo_spans, spans.echo_spans, rows)
+    hidden = covered(*seen.occluded_spans, spans.occluded_spans, rows)
+    return _per_beam(seen.slabs, shown), _per_beam(seen.slabs, hidden)
+
+
+def _echo(seen: _Seen, mesh: Mesh, quality: RenderQuality) -> Float[Array, "range beam"]:
+    """Energy of first hits of objects."""
+    ends = all_ends(seen.visible.intervals, seen.visible.segments, seen.visible.table)
+    energy = object_energy(
+        ends, seen.slabs, seen.scene, seen.sonar, quality.elevations, seen.edges, mesh.reflectivity
+    )  # fmt: skip
+    return _per_beam(seen.slabs, energy)
+
+
+def _frame_of(seen: _Seen, shares: tuple[Array, Array], echo: Array, window: Window) -> SonarFrame:
+    """The frame of highlight and shadow, and of the energy that objects send back; the floor is added here."""
+    (highlight, shadow), scene, sonar, edges = shares, seen.scene, seen.sonar, seen.edges
+    azimuth = _columns(jnp.asarray(sonar.azimuth), window.column, window.shape[1])
     floor = platform_lit(azimuth, scene, sonar, edges)
     bare = floor_energy(azimuth, scene, sonar, edges) * floor
     lit = (floor_lit(azimuth, scene, edges) & floor) | (highlight > 0.5)
     intensity = jnp.maximum(echo, 0.0) + bare * jnp.maximum(1 - shadow, 0.0)
-    frame = SonarFrame(intensity, highlight, shadow, lit, visible.overflow, sonar)
-    if objects is None:
-        return frame, None
-    spans, n_echo, n_occluded = visible.spans, visible.spans.echo_spans.shape[1], visible.spans.occluded_spans.shape[1]
-    owner = objects.owner[jnp.maximum(spans.ends.surface, 0)]
-    of_echo, of_occluded = owner[:, :n_echo], owner[:, 2 * n_echo : 2 * n_echo + n_occluded]
-
-    def layers(number: Array) -> ObjectLayers:
-        shown = covered(*echo_spans, spans.echo_spans & (of_echo == number), rows)
-        hidden = covered(*occluded_spans, spans.occluded_spans & (of_occluded == number), rows)
-        return ObjectLayers(_per_beam(slabs, shown), _per_beam(slabs, hidden))
-
-    return frame, jax.lax.map(layers, jnp.arange(objects.total))
+    return SonarFrame(intensity, highlight, shadow, lit, seen.visible.overflow, sonar)
 
 
 class EchoLayers(NamedTuple):

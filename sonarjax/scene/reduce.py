@@ -64,10 +64,10 @@ class Reduction:
     def __str__(self) -> str:
         """One line for a log."""
         if self.after == self.before:
-            return f"{self.before} triangles, kept as they are: none can go within {1e3 * self.tolerance:.2g} mm"
+            return f"{self.before} triangles, kept as they are: few can go within {self.tolerance:.2g} m"
         return (
-            f"{self.before} triangles reduced to {self.after}; 99 % of the surface within {1e3 * self.error.usual:.2g} "
-            f"mm (asked for: {1e3 * self.tolerance:.2g} mm), all of it within {1e3 * self.error.largest:.2g} mm"
+            f"{self.before} triangles reduced to {self.after}; 99 % of the surface within {self.error.usual:.2g} m "
+            f"(asked for: {self.tolerance:.2g} m), all of it within {self.error.largest:.2g} m"
         )
 
 

@@ -11,7 +11,7 @@ from flax import linen as nn
 from jaxtyping import Array, Float
 
 from sonarjax.segment.layers import Backend, Down, Patch
-from sonarjax.segment.normalise import BatchNorm
+from sonarjax.segment.normalise import batch_norm
 
 
 class Discriminator(nn.Module):
@@ -39,6 +39,6 @@ class Discriminator(nn.Module):
         maps = jnp.concatenate([x, y], -1).astype(self.dtype)
         for n in (1, 2, 3):
             maps = Down(self.width * 2 ** (n - 1), n == 1, 4, self.dtype, self.backend, name=f"down{n}")(maps)
-            maps = maps if n == 1 else BatchNorm(running=False, name=f"norm{n}")(maps, True)
+            maps = maps if n == 1 else batch_norm(f"norm{n}", train=True, dtype=self.dtype)(maps)
             maps = nn.leaky_relu(maps, 0.2)
         return Patch(1, True, self.dtype, self.backend, name="patch")(maps).astype(jnp.float32)

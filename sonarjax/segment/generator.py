@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.segment.inputs import Inputs, network_input
 from sonarjax.segment.layers import Backend, Down, Up
-from sonarjax.segment.normalise import BatchNorm
+from sonarjax.segment.normalise import batch_norm
 
 Head = Literal["tanh", "classes"]
 STRIDE = 128
@@ -75,7 +75,7 @@ class Generator(nn.Module):
             plain = n in (1, 7)
             size = 2 if n == 7 else 4
             x = Down(self.width * multiplier, plain, size, self.dtype, self.backend, name=f"down{n}")(x)
-            x = x if plain else BatchNorm(name=f"norm{n}")(x, train)
+            x = x if plain else batch_norm(f"norm{n}", train=train, dtype=self.dtype)(x)
             x = nn.leaky_relu(x, 0.2)
             layers.append(x)
         return layers
@@ -89,7 +89,7 @@ class Generator(nn.Module):
             x = Up(features, n == 15, 2 if n == 9 else 4, self.dtype, self.backend, name=f"up{n}")(x, *copied)
             if n == 15:
                 break
-            x = BatchNorm(name=f"norm{n}")(x, train)
+            x = batch_norm(f"norm{n}", train=train, dtype=self.dtype)(x)
             if n < 9 + DROPOUT_LAYERS:
                 x = nn.Dropout(DROPOUT, deterministic=not self.has_rng("dropout"))(x)
             x = nn.relu(x)

@@ -24,7 +24,7 @@ def draw_variables(module: nn.Module, *inputs: Array, key: Array) -> Any:
     names = [path[-1].key for path, _ in flat]
     sizes = [leaf.size if name in ("kernel", "scale") else 0 for name, (_, leaf) in zip(names, flat, strict=True)]
     normals = jnp.split(DEVIATION * jax.random.normal(key, (sum(sizes),)), np.cumsum(sizes)[:-1].tolist())
-    constant = {"kernel": 0.0, "scale": 1.0, "variance": 1.0, "bias": 0.0, "mean": 0.0}
+    constant = {"kernel": 0.0, "scale": 1.0, "var": 1.0, "bias": 0.0, "mean": 0.0}
     leaves = [
         constant[name] + (noise.reshape(leaf.shape) if size else jnp.zeros(leaf.shape))
         for name, (_, leaf), noise, size in zip(names, flat, normals, sizes, strict=True)

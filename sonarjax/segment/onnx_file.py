@@ -11,7 +11,7 @@ import json
 import os
 from typing import Any
 
-from sonarjax.data import PATCH
+from sonarjax.crops import PATCH
 from sonarjax.io.atomic import write_atomic
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.segment.onnx_graph import IR_VERSION, OPSET, Graph, add_generator

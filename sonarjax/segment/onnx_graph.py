@@ -160,6 +160,6 @@ def _bias(params: Mapping[str, Any]) -> list[Any]:
 
 
 def _normalisation(graph: Graph, params: Mapping[str, Any], statistics: Mapping[str, Any], x: str) -> str:
-    """`normalise.BatchNorm` with its running statistics."""
-    numbers = params["scale"], params["bias"], statistics["mean"], statistics["variance"]
+    """`normalise.batch_norm` with its running statistics."""
+    numbers = params["scale"], params["bias"], statistics["mean"], statistics["var"]
     return graph.node("BatchNormalization", x, *numbers, epsilon=EPSILON)

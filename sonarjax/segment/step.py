@@ -287,7 +287,9 @@ def _generate(config: GanConfig, batch_stats: Any, x: Array, key: Array, params:
 
 
 def _discriminate(config: GanConfig, x: Array, y: Array, params: Any) -> Array:
-    return jnp.asarray(config.discriminator().apply({"params": params}, x, y))
+    # Running statistics are of no use: the discriminator only ever sees whole batches.
+    logits, _ = config.discriminator().apply({"params": params}, x, y, mutable="batch_stats")
+    return jnp.asarray(logits)
 
 
 @partial(jax.jit, donate_argnums=0)

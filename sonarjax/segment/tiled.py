@@ -16,12 +16,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from sonarjax.data import PATCH, Box, PairSettings, cut_box, paste_patch
-from sonarjax.data.crops import LEAST
+from sonarjax.crops import LEAST, PATCH, TRAINING_FRAME, Box, cut_box, paste_patch
 from sonarjax.segment.objects import find_objects
 from sonarjax.segment.weights import GeneratorWeights, segment_patch
 
-TILE = (PairSettings.n_ranges, PairSettings.n_beams)
+TILE = TRAINING_FRAME
 """Largest size of a tile (range, beam) [pixels]."""
 CLOSER = 3
 """Most objects that get a closer look."""

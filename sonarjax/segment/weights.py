@@ -7,6 +7,7 @@ network's properties (width, head, skips) are derived from the shapes of its arr
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping
 from functools import partial
 from importlib import resources
@@ -60,7 +61,7 @@ def save_generator(
     flat, _ = jax.tree_util.tree_flatten_with_path(variables)
     arrays = {}
     for place, leaf in flat:
-        name = jax.tree_util.keystr(place, simple=True, separator=".")
+        name = _filed(jax.tree_util.keystr(place, simple=True, separator="."))
         with np.errstate(over="ignore"):  # reported below, with the name of the array
             arrays[name] = np.asarray(leaf).astype(jnp.dtype(storage) if np.ndim(leaf) > 1 else np.float32)
         if not np.isfinite(arrays[name].astype(np.float32)).all():
@@ -87,6 +88,11 @@ def load_generator(path: str | os.PathLike[str] | None = None) -> GeneratorWeigh
     return GeneratorWeights(_nested(arrays), module)
 
 
+def _filed(place: str) -> str:
+    """The name in a file of the array at a place: flax's `var` is called `variance` there."""
+    return re.sub(r"\.var$", ".variance", place)
+
+
 def _nested(arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
     """Variables for `module.apply`, in float32, from arrays named by their places."""
     variables: dict[str, Any] = {}
@@ -95,7 +101,7 @@ def _nested(arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
         inside = variables
         for folder in folders:
             inside = inside.setdefault(folder, {})
-        inside[leaf] = jax.device_put(array.astype(np.float32))
+        inside["var" if leaf == "variance" else leaf] = jax.device_put(array.astype(np.float32))
     return variables
 
 
@@ -104,7 +110,7 @@ def _check_arrays(arrays: Mapping[str, np.ndarray], module: Generator, name: str
     image = jax.ShapeDtypeStruct((1, 128, 128, 1), jnp.float32)
     expected = jax.eval_shape(module.init, jax.random.key(0), image)
     flat, _ = jax.tree_util.tree_flatten_with_path(expected)
-    places = [jax.tree_util.keystr(place, simple=True, separator=".") for place, _ in flat]
+    places = [_filed(jax.tree_util.keystr(place, simple=True, separator=".")) for place, _ in flat]
     if set(places) != set(arrays):
         odd = sorted(set(places) ^ set(arrays))
         raise SonarjaxError(f"{name}: expected the arrays of a generator, {odd[0]} is missing or too many")

@@ -10,8 +10,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sonarjax.render import RenderQuality, SonarFrame, render
+from sonarjax.render import RenderQuality, SonarFrame, Window
 from sonarjax.render.simulate import place_together
+from sonarjax.render.window import render_afloat
 from sonarjax.scene import Mesh, Pose
 from sonarjax.sensor.model import SensorModel
 from sonarjax.sonar import Sonar
@@ -80,7 +81,7 @@ def render_bounces(
     def echo(mirror: tuple[Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
         plane, path, left = mirror
         mirrored = without_floor(bounce_mesh(mesh, pose, sonar, plane, path), sonar)
-        seen = render(*mirrored, quality=quality)
+        seen = render_afloat(*mirrored, Window(0, 0, sonar.shape), quality)
         return left * seen.intensity, seen.highlight, seen.lit, seen.overflow
 
     def silence(mirror: tuple[Array, Array, Array]) -> tuple[Array, Array, Array, Array]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -123,10 +123,16 @@ def received_energy(
     left = absorption_loss(ranges - reference, absorption - sonar.absorption)
     energy = energy * (made_up * left / reference_energy(sonar))[:, None]
     energy = pulse_blur(energy, model.pulse_bins)
-    energy = energy + late_reverberation(energy, model.reverberation, model.reverberation_length, sonar.range_bin)
+    if not _is_absent(model.reverberation):
+        energy = energy + late_reverberation(energy, model.reverberation, model.reverberation_length, sonar.range_bin)
     energy = streaks(energy, share, model.streak)
     leak = crosstalk_mixing(sonar.n_beams, model.crosstalk, model.crosstalk_period)
     return energy @ (leak @ beam_mixing(sonar, model.beam_widening, model.beam_ways)).T
+
+
+def _is_absent(share: Any) -> bool:
+    """Whether a share is known to be 0 before anything is computed: what is traced may be anything."""
+    return isinstance(share, float) and share == 0.0
 
 
 def speckle(sonar: Sonar, model: SensorModel, *, key: jax.Array) -> Float[Array, "range beam"]:

@@ -179,7 +179,8 @@ def test_frames_become_one_log(command, complaint, tmp_path, ending):
     assert command("convert", *names, "--out", out) == (0, f"{out}: 3 frames\n", "")
     frames = read_frames(str(out))
     np.testing.assert_allclose([frame.image for frame in frames], images / 255, atol=1e-4)
-    assert "n_frames      3\n" in command("info", out)[1]
+    told = command("info", out)[1]
+    assert "topic         /sonar_image\n" in told and "n_frames      3\n" in told
     write_png(tmp_path / "grey.png", images[0])
     said = complaint(2, "convert", names[0], tmp_path / "grey.png", "--out", tmp_path / f"b.{ending}")
     assert "grey.png" in said and not (tmp_path / f"b.{ending}").exists()

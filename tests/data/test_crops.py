@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from sonarjax.data.crops import LEAST, Box, cut_box, cut_labels, draw_box, paste_patch
+from sonarjax.crops import LEAST, Box, cut_box, paste_patch
+from sonarjax.data.crops import cut_labels, draw_box
 from sonarjax.render import SonarFrame
 from sonarjax.sonar import Sonar
 

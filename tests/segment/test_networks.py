@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -14,7 +15,7 @@ from sonarjax.io.errors import SonarjaxError
 from sonarjax.segment.discriminator import Discriminator
 from sonarjax.segment.generator import Generator, to_grey
 from sonarjax.segment.initial import draw_variables
-from sonarjax.segment.normalise import BatchNorm
+from sonarjax.segment.normalise import EPSILON, MOMENTUM, batch_norm
 
 GENERATOR = Generator(width=2)
 
@@ -92,7 +93,7 @@ def test_discriminator_is_pytorchs(image: jax.Array, key: jax.Array) -> None:
     judge = Discriminator(4)
     params = draw_variables(judge, image, image, key=key)["params"]
     params = jax.tree.map(lambda v: 3 * v, params)
-    found = jax.jit(judge.apply)({"params": params}, image, -image)
+    found, _ = jax.jit(partial(judge.apply, mutable="batch_stats"))({"params": params}, image, -image)
     assert found.shape == (2, 15, 15, 1)
     wanted = peer.discriminator(peer.tensors(params), peer.maps(image), peer.maps(-image))
     np.testing.assert_allclose(found, peer.back(wanted), atol=1e-5)
@@ -105,8 +106,9 @@ def test_discriminator_looks_at_patches_of_46_pixels(image: jax.Array, key: jax.
 
     judge = Plain(2)
     params = draw_variables(judge, image, image, key=key)["params"]
-    with nn.intercept_methods(lambda f, a, k, c: a[0] if isinstance(c.module, BatchNorm) else f(*a, **k)):
-        slope = jax.jit(jax.grad(lambda x: judge.apply({"params": params}, x, image)[0, 7, 7, 0]))(image)
+    with nn.intercept_methods(lambda f, a, k, c: a[0] if isinstance(c.module, nn.BatchNorm) else f(*a, **k)):
+        apply = partial(judge.apply, {"params": params}, mutable="batch_stats")
+        slope = jax.jit(jax.grad(lambda x: apply(x, image)[0][0, 7, 7, 0]))(image)
     rows, columns = (np.flatnonzero(np.asarray(jnp.abs(slope[0, ..., 0]).max(axis))) for axis in (1, 0))
     assert (len(rows), len(columns)) == (46, 46)
 
@@ -175,26 +177,30 @@ def test_grey_of_classes() -> None:
 @pytest.mark.slow
 def test_running_statistics_are_pytorchs(rng: np.random.Generator) -> None:
     torch = pytest.importorskip("torch")
-    norm, there = BatchNorm(), torch.nn.BatchNorm2d(3)
+    norm, there = partial(batch_norm, "norm"), torch.nn.BatchNorm2d(3)
     batches = jnp.asarray(rng.normal(2.0, 3.0, (5, 4, 6, 5, 3)), jnp.float32)
-    variables = norm.init(jax.random.key(0), batches[0], True)
+    variables = norm(train=True).init(jax.random.key(0), batches[0])
     variables["params"] = {"scale": jnp.ones(3), "bias": jnp.zeros(3)}
     for batch in batches:
-        _, changed = norm.apply(variables, batch, True, mutable="batch_stats")
+        _, changed = norm(train=True).apply(variables, batch, mutable="batch_stats")
         variables["batch_stats"] = changed["batch_stats"]
         there(torch.tensor(np.asarray(batch)).permute(0, 3, 1, 2))
     kept = variables["batch_stats"]
     np.testing.assert_allclose(kept["mean"], there.running_mean.numpy(), rtol=1e-5)
-    np.testing.assert_allclose(kept["variance"], there.running_var.numpy(), rtol=1e-5)
-    found = norm.apply(variables, batches[0], False)
-    wanted = there.eval()(torch.tensor(np.asarray(batches[0])).permute(0, 3, 1, 2)).permute(0, 2, 3, 1).detach().numpy()
+    # PyTorch keeps the unbiased variance of a batch, flax the batch's own; both begin at 1.
+    begun, pixels = MOMENTUM ** len(batches), batches[0].size // 3
+    unbiased = begun + (kept["var"] - begun) * pixels / (pixels - 1)
+    np.testing.assert_allclose(unbiased, there.running_var.numpy(), rtol=1e-5)
+    found = norm(train=False).apply(variables, batches[0])
+    wanted = (batches[0] - kept["mean"]) / np.sqrt(kept["var"] + EPSILON)
     np.testing.assert_allclose(found, wanted, atol=1e-5)
 
 
 def test_one_pixel_is_normalised_to_a_finite_number() -> None:
-    norm = BatchNorm(running=False)
-    value, slope = jax.value_and_grad(
-        lambda x: norm.apply({"params": {"scale": jnp.ones(2), "bias": jnp.full(2, 0.3)}}, x, True).sum()
-    )(jnp.asarray([[[[5.0, -2.0]]]]))
+    norm = batch_norm("norm", train=True)
+    params = {"scale": jnp.ones(2), "bias": jnp.full(2, 0.3)}
+    value, slope = jax.value_and_grad(lambda x: norm.apply({"params": params}, x, mutable="batch_stats")[0].sum())(
+        jnp.asarray([[[[5.0, -2.0]]]])
+    )
     assert float(value) == pytest.approx(0.6, abs=1e-4)
     assert bool(jnp.isfinite(slope).all())

@@ -44,7 +44,7 @@ def _four(kernel: torch.Tensor) -> torch.Tensor:
 
 def normalised(x: torch.Tensor, layer: Any, kept: Any | None = None) -> torch.Tensor:
     """Batch normalisation: with the running statistics `kept`, else with the batch's own."""
-    mean, variance = (None, None) if kept is None else (kept["mean"], kept["variance"])
+    mean, variance = (None, None) if kept is None else (kept["mean"], kept["var"])
     return functional.batch_norm(x, mean, variance, layer["scale"], layer["bias"], training=kept is None)
 
 

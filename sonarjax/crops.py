@@ -1,0 +1,59 @@
+"""Crops: a box of any size in a frame, resampled to the one shape that the network sees, and back.
+
+The same functions serve training and inference, because a network knows only the resampling with which it was trained.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+PATCH = (128, 128)
+"""Shape (range, beam) of a crop after resampling [pixels]."""
+TRAINING_FRAME = (256, 64)
+"""Shape (range, beam) of the frames that training crops are cut from [pixels]."""
+LEAST = (40, 12)
+"""Least size (range, beam) of a crop in its frame [pixels]."""
+
+
+class Box(NamedTuple):
+    """A part of a frame. Its edges need not lie on pixel edges."""
+
+    top: Float[Array, ""] | float
+    """Near edge [range bins]."""
+    left: Float[Array, ""] | float
+    """Starboard edge [beams]."""
+    rows: Float[Array, ""] | float
+    """Extent in range [range bins]."""
+    columns: Float[Array, ""] | float
+    """Extent in azimuth [beams]."""
+
+
+def cut_box(
+    image: Float[Array, "range beam"], box: Box, shape: tuple[int, int] = PATCH
+) -> Float[Array, "patch_range patch_beam"]:
+    """Resample a part of an image (range, beam) to `shape` (patch_range, patch_beam): linear, averaging where it
+    shrinks.
+
+    It is zero beyond the frame. Differentiable, in the box too, and works under jit and vmap.
+    """
+    scale = jnp.stack([shape[0] / jnp.asarray(box.rows), shape[1] / jnp.asarray(box.columns)])
+    corner = jnp.stack([jnp.asarray(box.top, jnp.float32), jnp.asarray(box.left, jnp.float32)])
+    return jax.image.scale_and_translate(image, shape, (0, 1), scale, -corner * scale, "linear", antialias=True)
+
+
+def paste_patch(
+    patch: Float[Array, "patch_range patch_beam"], box: Box, shape: tuple[int, int], outside: float = 0.5
+) -> Float[Array, "range beam"]:
+    """The inverse of `cut_box`: put a crop (patch_range, patch_beam) back into a frame of `shape` (range, beam).
+
+    Pixels outside the box are set to `outside`, by default the grey of background.
+    """
+    rows, columns = patch.shape
+    scale = jnp.stack([jnp.asarray(box.rows) / rows, jnp.asarray(box.columns) / columns])
+    corner = jnp.stack([jnp.asarray(box.top, jnp.float32), jnp.asarray(box.left, jnp.float32)])
+    placed = jax.image.scale_and_translate(patch - outside, shape, (0, 1), scale, corner, "linear", antialias=True)
+    return placed + outside
