@@ -45,8 +45,10 @@ class Segmenter:
     ) -> Float[np.ndarray, "range beam"]:  # fmt: skip
         """Semantic map (range, beam) of a frame: shadow 0, background 0.5, highlight 1. A network's doubts lie between.
 
+        The map of `none` is the grey frame itself, everywhere.
+
         Args:
-            image: Grey frame (range, beam) in [0, 1]. For `none` it is also the result.
+            image: Grey frame (range, beam) in [0, 1].
             mask: True where the frame was measured (range, beam). Elsewhere the map is background.
             engine: Runs the compiled functions.
         """
