@@ -24,7 +24,7 @@ class Header:
     """A view of `data` that starts at byte `base`; `name` and `part` (such as "frame 3") begin every message."""
 
     data: Content
-    """Content of the whole file."""
+    """Content of the file."""
     name: str
     """The file's path, for messages."""
     base: int = 0

@@ -343,7 +343,7 @@ def trace_ranges(spans: Spans, azimuth: Float[Array, "slab"], scene: Scene) -> F
     on_object = spans.on_object
     line = [jnp.where(on_object, o, f) for o, f in zip(surface, floor_line(theta, scene.view), strict=True)]
     # No point of a triangle is nearer than its nearest corner or farther than its farthest corner, measured along the
-    # slice. Its plane is not so bounded: for a facet seen edge-on it runs far away a little beside this azimuth.
+    # slice. Its plane has no such bounds: the plane of a facet seen edge-on is far away at a slightly other azimuth.
     reach = jnp.cos(theta)[..., None] * corners[..., 0] + jnp.sin(theta)[..., None] * corners[..., 1]
     nearest, farthest = jnp.maximum(reach.min(-1), NEAR_M), jnp.maximum(reach.max(-1), NEAR_M)
     s = line[0] + line[1] * tau

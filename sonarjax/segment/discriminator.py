@@ -1,5 +1,5 @@
-"""The discriminator of pix2pix (§2.2): four convolutions that tell, patch by patch, true semantic maps from
-generated ones.
+"""The discriminator of pix2pix (§2.2): four convolutions that classify patches of a semantic map as true or
+generated.
 """
 
 from __future__ import annotations

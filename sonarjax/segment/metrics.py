@@ -8,7 +8,7 @@ from jaxtyping import Array, Float, Int, UInt8
 from sonarjax.segment.loss import N_CLASSES
 
 LEAST_ERROR = 1e-10
-"""Least mean squared error that is told from zero: PSNR stops at 100 dB."""
+"""Smaller mean squared errors count as this one, so PSNR stops at 100 dB."""
 
 
 def confusion(
