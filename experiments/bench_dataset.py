@@ -176,7 +176,7 @@ def table(report: Report) -> str:
     if report["memory"]:
         text += "\n\n" + columns(report["memory"], MEMORY)
     before, after = report["load"]
-    return f"{text}\n\n{report['cores']} cores; load average {before:.1f} before, {after:.1f} after"
+    return f"{text}\n\nCores: {report['cores']}; load average {before:.1f} before, {after:.1f} after"
 
 
 if __name__ == "__main__":
