@@ -250,6 +250,7 @@ def test_every_script_is_indexed_and_every_row_has_a_script(runs: Path) -> None:
         "__init__",
         "__main__",
         "baseline",
+        "docs_scan",
         "docs_slice",
         "index",
         "matrix",
