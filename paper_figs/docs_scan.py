@@ -1,6 +1,6 @@
 """The drawing of docs/renderer.md: a scan, what is left of it for a sonar, and both as the sonar sees them.
 
-`python -m paper_figs.docs_scan` writes paper_figs/drawn/docs_scan.png; mesh, reduction and frames are the package's own.
+`python -m paper_figs.docs_scan` writes paper_figs/drawn/docs_scan.png. Mesh and frames are the package's own.
 """
 
 from __future__ import annotations
