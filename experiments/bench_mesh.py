@@ -51,7 +51,7 @@ MEASURES = {
     "ratio": ("sonarjax / Embree", "≤ 1.5"),
 }
 """What a row of the table says, and its bar."""
-SMOKE = {"triangles": (20_000,), "poses": 1, "views": 3, "rounds": 1, "peer": has("open3d")}
+SMOKE = {"triangles": (20_000,), "poses": 1, "views": 9, "rounds": 1, "peer": has("open3d")}
 
 
 @dataclass(frozen=True)

@@ -240,6 +240,7 @@ def test_every_script_is_indexed_and_every_row_has_a_script(runs: Path) -> None:
         "__main__",
         "baseline",
         "docs_pages",
+        "docs_scan",
         "docs_slice",
         "index",
         "matrix",
