@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 import sonarjax as sj
-from sonarjax.refine import COMPARISON, MAP_REFINEMENT, compared, plan_refinement, plan_shared
+from sonarjax.refine import COMPARISON, MAP_REFINEMENT, Candidate, Look, compared, plan_refinement, plan_shared
 from sonarjax.scene.objects import box
 
 SONAR = sj.Sonar.preset("didson-hf", tilt=math.radians(20), height=0.9)
@@ -19,8 +19,9 @@ def evidence(**more: float) -> dict[str, float]:
     return dict.fromkeys(COMPARISON, 0.5) | more
 
 
-def looks(*names: str) -> list[Any]:
-    return [SimpleNamespace(name=name) for name in names]
+def looks(*names: str) -> list[Look]:
+    searches: list[Any] = [SimpleNamespace(name=name) for name in names]
+    return [Look(Candidate(search, None, 2.3, 0.0)) for search in searches]  # type: ignore[arg-type]
 
 
 def test_probabilities_are_those_of_the_weighed_evidence() -> None:
