@@ -71,8 +71,15 @@ def test_bank_of_a_rough_body_is_that_of_finer_slabs(sonar, rough):
     mesh = reduced_for(rough, sonar).mesh
     assert mesh.crease.shape[-1] > mesh.events  # else there is nothing to leave out
     banks = [template_bank(mesh, sonar, [0.3, 2.0], x=2.3, quality=RenderQuality(sub_beams=n)) for n in (1, 6)]
-    quick, fine = (np.digitize(np.asarray(bank.templates), [0.25, 0.75]) for bank in banks)
-    if quick.shape != fine.shape:
-        pytest.fail(f"boxes differ: {quick.shape} and {fine.shape}")
+    quick, fine = (np.digitize(in_frame(bank, sonar), [0.25, 0.75]) for bank in banks)
     either = (quick != 1) | (fine != 1)
+    assert either.sum() > 1000
     assert (quick == fine)[either].mean() > 0.95
+
+
+def in_frame(bank, sonar):
+    """Templates (yaw, range, beam) in whole frames of background: two banks may be cropped differently."""
+    (row, column), (rows, columns) = np.asarray(bank.offset), bank.templates.shape[1:]
+    frames = np.full((len(bank.templates), *sonar.shape), 0.5, np.float32)
+    frames[:, row : row + rows, column : column + columns] = np.asarray(bank.templates)
+    return frames
