@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import matplotlib
@@ -11,8 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
+from experiments.common.runs import Run
 from paper_figs import style
-from paper_figs.shared import Number, listed, load, row_where
+from paper_figs.shared import row_where
 
 ITEM = "Ext. 16"
 CAPTION = (
@@ -24,9 +24,9 @@ SETS = ("drawn devices", "the judge")
 LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 
 
-def draw(runs: Path) -> Figure:
+def draw(run: Run) -> Figure:
     """A matrix for each set that was run."""
-    report = load(runs, "catalog").report
+    report = run.report
     names, alike = report["objects"], report["alike"]
     found = {source: np.array(report["confusion"][source]) for source in SETS if source in report["confusion"]}
     figure = style.sheet(style.TWO_COLUMNS, 4.1)
@@ -59,12 +59,11 @@ def _matrix(ax: Axes, counts: np.ndarray, names: list[str], alike: list[list[str
     ax.spines[:].set_visible(True)
 
 
-def numbers(runs: Path) -> list[Number]:
-    """Shares of right names, and of strangers that were refused."""
-    return listed(runs, "catalog", [
-        (f"{source}: {what}", None, lambda report, source=source, key=key: _of(report, source)[key])
-        for source in SETS for what, key in (("object right", "top_1"), ("others refused", "refused"))
-    ])  # fmt: skip
+NUMBERS = [
+    (f"{source}: {what}", None, lambda report, source=source, key=key: _of(report, source)[key])
+    for source in SETS for what, key in (("object right", "top_1"), ("others refused", "refused"))
+]  # fmt: skip
+"""Shares of right names, and of strangers that were refused."""
 
 
 def _of(report: dict[str, Any], source: str) -> dict[str, Any]:

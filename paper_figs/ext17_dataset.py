@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
+from experiments.common.runs import Run
 from paper_figs import style
-from paper_figs.shared import Number, listed, load
 
 ITEM = "Ext. 17"
 CAPTION = (
@@ -23,9 +23,9 @@ SHADE = 0.55
 """How much darker a shadow is."""
 
 
-def draw(runs: Path) -> Figure:
+def draw(run: Run) -> Figure:
     """Frames above, instances below."""
-    found = load(runs, "bench_dataset").arrays("frames")
+    found = run.arrays("frames")
     count = len(found["image"])
     figure = style.sheet(style.TWO_COLUMNS, 4.2)
     axes = figure.subplots(2, count, squeeze=False)
@@ -47,13 +47,12 @@ def _show(ax: Axes, picture: np.ndarray) -> None:
     ax.set(xticks=(), yticks=())
 
 
-def numbers(runs: Path) -> list[Number]:
-    """Frames a second of one format."""
-    return listed(runs, "bench_dataset", [
-        ("COCO, one object: frames a second, made", None, lambda report: _coco(report)["made"]),
-        ("COCO, one object: made over written alone", None, lambda report: _coco(report)["share"]),
-    ])  # fmt: skip
+NUMBERS = [
+    ("COCO, one object: frames a second, made", None, lambda report: _coco(report)["made"]),
+    ("COCO, one object: made over written alone", None, lambda report: _coco(report)["share"]),
+]
+"""Frames a second of one format."""
 
 
-def _coco(report: dict) -> dict:
+def _coco(report: dict[str, Any]) -> dict[str, Any]:
     return next(row for row in report["rows"] if row["format"] == "coco" and row["scenes"] == 1)
