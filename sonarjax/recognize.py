@@ -48,7 +48,7 @@ from sonarjax.segment import DEFAULT_SEGMENTER, IdentificationRule, Segmenter, l
 from sonarjax.sonar import Sonar
 
 NEARER = 0.15
-"""Share of the distances that are nearer than the one that the refinement's usual window is planned for."""
+"""Refinement's usual window is planned for this quantile of the distances; farther objects need no larger one."""
 GIVEN = "given"
 
 
@@ -63,11 +63,12 @@ class Hypothesis:
     yaw_std: float | None
     """Standard deviation of the refined yaw [rad], given this hypothesis; None without refinement.
 
-    See `refine.ErrorBar`; where the sonar states its `geometry_std`, what that adds is in it."""
+    See `refine.ErrorBar`. It includes what the sonar's `geometry_std` adds, if the sonar states one."""
     converged: bool = True
-    """False where refinement did not settle inside its bounds; the yaw is then the better of bin and refined one."""
+    """False if refinement did not settle inside its bounds. The yaw is then whichever fits better, the bin's or the
+    refined one."""
     x: float | None = None
-    """Forward position [m] of the target at this yaw; None where it is that of the `Recognition`."""
+    """Forward position [m] of the target at this yaw; None if it is that of the `Recognition`."""
     y: float | None = None
     """Position to port [m], likewise."""
 
@@ -77,29 +78,29 @@ class Recognition:
     """What a `Recognizer` found in one frame."""
 
     identified: bool
-    """True when the score reaches the threshold (eq. 5)."""
+    """True if `score` reaches `threshold` (eq. 5)."""
     target: str
     """Name of the target that matches best."""
     score: float
-    """What the threshold judges: the probability that the target is shown, by the segmenter's `rule`.
+    """Probability that the frame shows the target, by the segmenter's `rule`. This is compared with the threshold.
 
-    Without refinement, a rule, or with a map of your own it is eq. 5's maximum over the bank, `score_bank`."""
+    It equals `score_bank`, eq. 5's maximum, without refinement, without a rule, or with a map of your own."""
     score_bank: float
     """Largest NCC over the bank's yaw bins."""
     score_refined: float | None
     """NCC of the best refined template with what it was refined on; None without refinement."""
     threshold: float
-    """Least score of an identified target."""
+    """Smallest score of an identified target."""
     runner_up: str | None
     """Name of the second best target; None with a single target."""
     margin: float | None
-    """How much likelier it is than the runner-up, where one of the candidates is shown; None with a single target.
+    """Probability of this target less that of the runner-up, given that one of the candidates is shown.
 
-    Without refinement or a rule it is the difference of their `score_bank`."""
+    None with a single target. Without refinement or a rule, the difference of their `score_bank`."""
     yaw_bin: float
     """Yaw of the best template [rad], turned to the bearing at which it was found."""
     yaw: float
-    """Refined absolute yaw [rad]; the bin's without refinement."""
+    """Refined absolute yaw [rad]; without refinement, that of the bin."""
     yaw_std: float | None
     """Standard deviation of the refined yaw [rad]; None without refinement."""
     x: float
@@ -107,27 +108,27 @@ class Recognition:
     y: float
     """Position of the target to port [m]."""
     converged: bool
-    """False where refinement did not settle inside its bounds; True without refinement."""
+    """False if refinement did not settle inside its bounds; True without refinement."""
     scores_by_yaw: np.ndarray
     """NCC (yaw,) of each bin."""
     hypotheses: tuple[Hypothesis, ...]
     """Possible yaws, best first."""
     segmenter: str
-    """What made the semantic map; `given` for one of your own."""
+    """Name of the segmenter that made the semantic map; `given` for a map of your own."""
     semantic: np.ndarray = field(repr=False)
     """The image (range, beam) that was matched."""
     evidence: Mapping[str, float] | None = field(default=None, repr=False)
-    """What the rule weighs, by the names of `segment.EVIDENCE`, and `curvature_std`, the yaw's standard deviation [rad]
-    as `refine_yaw` gives it; None without refinement."""
+    """The rule's inputs, by the names of `segment.EVIDENCE`, and `curvature_std`, the yaw's standard deviation [rad]
+    from `refine_yaw`. None without refinement."""
 
     @property
     def yaw_set(self) -> YawSet | None:
-        """All yaws that the frame allows, with weights: its hypotheses and the bank's other peaks.
+        """All yaws that the frame allows, with weights: the hypotheses and the bank's other peaks.
+
+        `yaw_set.intervals(0.95)` gives the disjoint intervals that together hold 95 %. The weights assume that the
+        frame shows the target. They were fitted on validation frames (experiments/fit_yaw_set.py).
 
         None without refinement, and for a frame of a sequence that was found without the bank.
-
-        The weights are for the case that the frame shows the target, and come from validation frames
-        (experiments/fit_yaw_set.py); `yaw_set.intervals(0.95)` is the set of disjoint intervals that holds 95 %.
         """
         stds = [one.yaw_std for one in self.hypotheses if one.yaw_std is not None]
         count = len(self.scores_by_yaw)
@@ -138,21 +139,24 @@ class Recognition:
         return make_yaw_set(yaws, stds, scores, self.scores_by_yaw, self.yaw_bin + bins, YAW_WEIGHTS)
 
 
-class _Judged(NamedTuple):
-    """A target that comes into question: what judges it, its yaws, best first, its place [m], the evidence for it, and
-    what it is compared by with others."""
+class _Result(NamedTuple):
+    """What is known of one candidate target."""
 
     look: Look
     score: float
+    """What the threshold is compared with."""
     hypotheses: tuple[Hypothesis, ...]
+    """Possible yaws, best first."""
     x: float
     y: float
     evidence: dict[str, float] | None
+    """Inputs of the rule; None without refinement."""
     rank: float = math.nan
+    """What candidates are ordered by."""
 
 
 class Recognizer:
-    """Targets and a sonar, with all that is prepared for them: call it with frames."""
+    """Recognizes its targets in frames of its sonar: prepare it once, then call it with frames."""
 
     def __init__(
         self,
@@ -164,12 +168,20 @@ class Recognizer:
         refine: RefineConfig | None = MAP_REFINEMENT,
         engine: Engine = PLAIN,
     ) -> None:
-        """One target, several, or several by name (else `target`, or their numbers); banks are rendered when needed.
+        """Prepare the search. Template banks are rendered when a frame first needs them.
 
-        `segmenter` is one of `SEGMENTERS`, a weights file or a loaded `Segmenter`. `refine` None stops at the yaw bin;
-        its bounds grow to a bin's width. `engine` runs what is compiled: `sonarjax.cpu.CpuEngine()` on a CPU.
-        Raises SonarjaxError for no target, an unknown segmenter, when no distance is in view or too many are, or a mesh
-        is larger than the sonar sees far.
+        Args:
+            targets: One mesh, several, or several by name. Without names a single one is called `target`, several are
+                numbered.
+            sonar: The sonar that takes the frames.
+            segmenter: One of `SEGMENTERS`, a weights file, or a loaded `Segmenter`.
+            search: How templates are matched.
+            refine: How yaw is refined; None stops at the yaw bin. Its bounds are widened to a bin's width.
+            engine: Runs compiled functions: `sonarjax.cpu.CpuEngine()` on a CPU.
+
+        Raises:
+            SonarjaxError: There is no target, the segmenter is unknown, no distance is in view or too many are, or a
+                mesh is larger than the sonar's maximum range.
         """
         if refine is not None and not isinstance(refine, RefineConfig):
             raise SonarjaxError(f"refine: expected a RefineConfig, or None for no refinement, got {refine!r}")
@@ -195,14 +207,19 @@ class Recognizer:
         threshold: float | None = None,
         starts: Sequence[Pose] = (),
     ) -> Recognition:
-        """Which target is in `image` (range, beam), and its yaw [rad]: segment, match (eq. 4–5), refine.
+        """Find which target is in a frame, and its yaw: segment, match (eq. 4–5), refine.
 
-        `mask` (range, beam) is true where a pixel was measured. `threshold` replaces the segmenter's own, which comes
-        from validation frames. A map of your own, `semantic` (range, beam) with shadow 0, background 0.5 and highlight
-        1, takes the place of the segmenter's; it needs a `threshold`. From `starts`, single poses [m, rad] at which the
-        best target is expected, hypotheses are refined beside those that matching finds.
-        Raises SonarjaxError for a shape that does not fit the sonar, values that are not finite, or where a threshold
-        is needed.
+        Args:
+            image: Grey frame (range, beam).
+            mask: True (range, beam) where a pixel was measured.
+            semantic: A map of your own (range, beam) instead of the segmenter's: shadow 0, background 0.5, highlight 1.
+                It needs a `threshold`.
+            threshold: Replaces the segmenter's own, which comes from validation frames.
+            starts: Single poses [m, rad] at which the best target is expected. They are refined beside the hypotheses
+                that matching finds.
+
+        Raises:
+            SonarjaxError: A shape does not fit the sonar, a value is not finite, or a threshold is needed.
         """
         image, mask = _checked(image, mask, self.sonar)
         given = None if semantic is None else _checked(semantic, mask, self.sonar, "semantic")[0]
@@ -212,8 +229,8 @@ class Recognizer:
         rule = self.segmenter.rule if given is None and self.refine is not None else None
         pictures = self._pictures(image, seen, given is None)
         looks = look_closely(self.targets, self.first_look, self.search, pictures, mask, self.engine)
-        judged = self._judged(looks, image, seen, mask, starts, rule)
-        best, second = judged[0], judged[1] if len(judged) > 1 else None
+        results = self._results(looks, image, seen, mask, starts, rule)
+        best, second = results[0], results[1] if len(results) > 1 else None
         found = best.look.in_map
         hypotheses = tuple(self._with_geometry(one, found.search, image, mask) for one in best.hypotheses)
         return Recognition(
@@ -239,12 +256,12 @@ class Recognizer:
         )
 
     def prepare(self) -> None:
-        """Render now what the first frame of several targets would wait for: all of them, coarsely."""
+        """Render the coarse bank of several targets now, so that the first frame need not wait for it."""
         if self.first_look is not None:
             self.first_look.prepare()
 
     def _usual_window(self, search: TargetSearch) -> WindowSize | None:
-        """The window that refinement needs at the nearer distances, the very nearest apart: it does for all beyond."""
+        """The window that refinement needs at distance quantile `NEARER`. It is large enough for all beyond."""
         if self.refine is None:
             return None
         return self._planned(search, Pose(x=float(np.quantile(search.distances, NEARER))), self.refine)
@@ -279,15 +296,15 @@ class Recognizer:
         return float(own if threshold is None else threshold)  # type: ignore[arg-type]
 
     def _pictures(self, image: np.ndarray, seen: np.ndarray, segmented: bool) -> tuple[np.ndarray, ...]:
-        """What targets are matched with: the map, and the frame itself, which may be right where a segmenter fails."""
+        """The images to match: the map, and the frame itself, which may succeed where a segmenter fails."""
         on_frame_too = segmented and self.refine is not None and self.segmenter.name != "none"
         return (seen, image) if on_frame_too else (seen,)
 
-    def _judged(
+    def _results(
         self, looks: Sequence[Look], image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None,
         expected: Sequence[Pose], rule: IdentificationRule | None,
-    ) -> list[_Judged]:  # fmt: skip
-        """The targets by what is judged, best first: by the rule where there is one, else as they match the map."""
+    ) -> list[_Result]:  # fmt: skip
+        """The targets, best first: ordered by the rule if there is one, otherwise by their match with the map."""
         if self.refine is None:
             return [self._unrefined(look) for look in looks]
         if rule is None:
@@ -301,22 +318,22 @@ class Recognizer:
     def _compared(
         self, looks: Sequence[Look], image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None
     ) -> list[tuple[Look, float]]:
-        """The looks, likeliest first, and the probability of each that it is the one of them that is shown."""
+        """The looks, likeliest first, each with its probability, given that one of them is shown."""
         assert self.refine is not None
         return compared(looks, quick_evidence(looks, image, seen, mask, self.refine, self._window, self.engine))
 
-    def _unrefined(self, look: Look) -> _Judged:
+    def _unrefined(self, look: Look) -> _Result:
         found, scores = look.in_map, look.in_map.match.scores
         bins = peak_bins(scores, found.yaws, self.search.hypotheses)
         plain = [Hypothesis(_wrap(found.yaws[k]), float(scores[k]), None, x=found.x, y=found.y) for k in bins]
-        return _Judged(look, found.score, _distinct(plain), found.x, found.y, None, found.score)
+        return _Result(look, found.score, _distinct(plain), found.x, found.y, None, found.score)
 
     def _refined(
         self, look: Look, image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None, expected: Sequence[Pose]
-    ) -> _Judged:
-        """Possible yaws, best first, the place (x, y) [m] of the best, and what speaks for it."""
+    ) -> _Result:
+        """Refine a target's hypotheses, and gather the evidence for the best one."""
         starts = make_starts(*look, seen, image, self.search.hypotheses)
-        if self.first_look is not None:  # of many targets a frame takes long enough
+        if self.first_look is not None:  # a frame already takes long with many targets
             starts = apart(starts)
         matched = len(starts)
         for pose in expected:
@@ -328,15 +345,15 @@ class Recognizer:
             window = self._window(start.candidate.search, Pose(x=start.candidate.x, y=start.candidate.y))
             return refine_start(start, image, seen, mask, self.refine, window, self.engine)
 
-        # Each on its own: one that settles early waits for no other.
+        # Each start is a call of its own, so that one that settles early waits for no other.
         parts = enumerate(self.engine.map(refined, starts))
         # Where refinement does not settle, an expected pose is what was expected and not what the frame shows.
-        return _judge(look, [part for k, part in parts if k < matched or bool(is_kept(part[0]))])
+        return _result(look, [part for k, part in parts if k < matched or bool(is_kept(part[0]))])
 
     def _with_geometry(
         self, one: Hypothesis, search: TargetSearch, image: np.ndarray, mask: np.ndarray | None
     ) -> Hypothesis:
-        """The hypothesis with what an uncertain geometry adds to its error bar, where the sonar states one."""
+        """The hypothesis, its error bar widened by the uncertain geometry if the sonar states `geometry_std`."""
         if not self._stated or self.refine is None or one.yaw_std is None or one.x is None or one.y is None:
             return one
         at = Pose(x=one.x, y=one.y, yaw=one.yaw)
@@ -360,9 +377,12 @@ def recognize(
     mask: Any = None,
     engine: Engine = PLAIN,
 ) -> Recognition:
-    """Find one target in one frame (range, beam), and its yaw [rad]: a call of a new `Recognizer`, which has the rest.
+    """Find one target in one frame (range, beam), and its yaw [rad], by one call of a new `Recognizer`.
 
-    For several frames keep a `Recognizer`: it renders its banks once. Raises SonarjaxError as both its steps do.
+    The arguments are those of `Recognizer`. For several frames keep a `Recognizer`, which renders its banks only once.
+
+    Raises:
+        SonarjaxError: As `Recognizer` and its call do.
     """
     _checked(image, mask, sonar)  # before anything is prepared
     recognizer = Recognizer(mesh, sonar, segmenter=segmenter, search=search, refine=refine, engine=engine)
@@ -373,12 +393,14 @@ def refine_on_frame(
     image: Any, mesh: Mesh, sonar: Sonar, start: Pose, mask: Any = None, config: RefineConfig = MAP_REFINEMENT,
     window: WindowSize | None = None, engine: Engine = PLAIN,
 ) -> YawEstimate:  # fmt: skip
-    """The poses of `start` refined on the grey frame (range, beam), by the template that fits it better.
+    """Refine the poses of `start` [m, rad] on the grey frame (range, beam), with the template that fits it better.
 
-    A map says what is where, but its edges are blunt, and all of an object is equally bright in it. The echo fits a
-    sonar's frame (on validation frames a median of 0.3° instead of 0.5°), the semantic image one that was drawn without
-    a sensor; the better score at the start decides (experiments/fit_refinement.py).
-    Raises SonarjaxError as `refine_yaw` does.
+    A map shows where highlight and shadow are, but its edges are blunt, and an object is equally bright all over. The
+    echo template fits a sonar's frame (on validation frames a median error of 0.3° instead of 0.5°), the semantic one a
+    frame that was drawn without a sensor. The better score at the start decides (experiments/fit_refinement.py).
+
+    Raises:
+        SonarjaxError: As `refine_yaw` does.
     """
     return refine_yaw(image, mesh, sonar, start, mask=mask, config=on_frame(config), window=window, engine=engine)
 
@@ -401,8 +423,8 @@ def _widened(config: RefineConfig, yaw_bins: int) -> RefineConfig:
     return replace(config, bounds=(max(yaw, 2 * math.pi / yaw_bins), x, y))
 
 
-def _judge(look: Look, parts: Sequence[tuple[YawEstimate, Pose, Evidence]]) -> _Judged:
-    """A look's refined starts as hypotheses, with the evidence for the best; what judges them sets the score."""
+def _result(look: Look, parts: Sequence[tuple[YawEstimate, Pose, Evidence]]) -> _Result:
+    """Gather a look's refined starts as hypotheses, with the evidence for the best; its score is set later."""
     estimate, pose, gathered = jax.tree.map(lambda *values: np.stack([np.asarray(v) for v in values]), *parts)
     curves = curve_evidence(*look)
     stds = ERROR_BAR.std(estimate.yaw_std, gathered.left_over, curves["frame_rise"])
@@ -410,7 +432,7 @@ def _judge(look: Look, parts: Sequence[tuple[YawEstimate, Pose, Evidence]]) -> _
     order = int(np.argmax([one.score for one in hypotheses]))
     evidence = {name: float(values[order]) for name, values in vars(gathered).items()}
     evidence |= curves | {"curvature_std": float(estimate.yaw_std[order])}
-    return _Judged(look, math.nan, _distinct(hypotheses), float(pose.x[order]), float(pose.y[order]), evidence)
+    return _Result(look, math.nan, _distinct(hypotheses), float(pose.x[order]), float(pose.y[order]), evidence)
 
 
 def _hypotheses(estimate: YawEstimate, pose: Pose, stds: np.ndarray) -> list[Hypothesis]:

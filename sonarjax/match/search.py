@@ -33,11 +33,11 @@ from sonarjax.sonar import Sonar
 MIN_VALID = 0.5
 """Least share of a template's pixels that were measured, where part of the frame is masked."""
 NOT_SEEN = "{}: at no distance inside the sonar's view is any part of it visible"
-"""What is wrong with a target, whose name goes in."""
+"""Error message; the target's name goes in."""
 KEPT_COMPACT = 4
-"""Distances at which a target of a catalogue keeps its bank: those that were looked at last."""
+"""Number of banks that a target of a catalogue keeps: those of the distances used last."""
 MAX_DISTANCES = 1000
-"""Most distances of the search, 100 m of floor: each costs a bank."""
+"""Most distances of a search (100 m of floor), as each costs a bank."""
 
 
 @dataclass(frozen=True)
@@ -47,27 +47,26 @@ class SearchConfig:
     yaw_bins: int = 36
     """Templates over the full circle; the paper's 10°."""
     range_step: float = 0.1
-    """Distance between banks [m]: templates 0.3 m off in distance lose 10 points of accuracy."""
+    """Distance between banks [m]. Templates that are 0.3 m off in distance cost 10 points of accuracy."""
     coarse_every: int = 3
-    """The coarse search looks at every so many distances."""
+    """The coarse search uses every such distance: 3 means every third."""
     coarse_yaws: int = 18
     """Yaws of the coarse search over the full circle."""
     decimation: int = 4
-    """Range bins that are one in the coarse search."""
+    """Range bins that are averaged into one in the coarse search."""
     hypotheses: int = 2
-    """Yaws that are kept for refinement, at most."""
+    """Most yaws that are refined."""
     quality: RenderQuality = RenderQuality(sub_beams=1)
     """How finely templates are rendered."""
     candidates: int = 5
-    """Of several targets, so many are refined and compared at most: those that a first look at all finds best.
+    """Of several targets, the most that are refined and compared: those that match best in a first look at all.
 
-    With more the right one is among them a little more often, and a frame takes longer
-    (experiments/fit_candidates.py)."""
+    More candidates include the right one a little more often, and take longer (experiments/fit_candidates.py)."""
     lead: float = 0.1
-    """A target that the first look finds so much worse than the best is none of them: correlation with the map, or half
-    of that with the frame itself. The two best always are."""
+    """Targets are no candidates if the first look finds them this much worse than the best: in correlation with the
+    map, or in half the correlation with the frame itself. The two best are always candidates."""
     rank: int = 64
-    """Components that stand for all targets' templates at one distance in that first look."""
+    """Components of the low-rank bank that represents all targets' templates at one distance in the first look."""
 
     def __post_init__(self) -> None:
         """Raises SonarjaxError for fewer than 4 yaw bins (peaks over yaw need neighbours), or counts below 1."""
@@ -105,9 +104,11 @@ class TargetSearch:
         self, mesh: Mesh, sonar: Sonar, config: SearchConfig = SearchConfig(), *, name: str = "target",
         engine: Engine = PLAIN, compact: bool = False,
     ) -> None:  # fmt: skip
-        """Banks are rendered when a frame first needs them. `compact` keeps them small and few, at some cost in time.
+        """Prepare the search. Banks are rendered when a frame first needs them.
 
-        Raises SonarjaxError when no distance is in view or too many are, or the mesh is larger than the sonar sees far.
+        `compact` keeps few banks, and small ones, at some cost in time.
+
+        Raises SonarjaxError if no distance is in view or too many are, or the mesh is larger than the sonar's range.
         """
         check_fits(mesh, sonar, name)
         self.mesh, self.sonar, self.config, self.name, self.engine = mesh, sonar, config, name, engine

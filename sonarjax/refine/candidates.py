@@ -1,4 +1,4 @@
-"""Targets that come into question in a frame: how each matches, and a quick refinement that says which to refine."""
+"""Candidates among several targets: how each matches the frame, and a quick refinement that ranks them."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ COMPARISON: Mapping[str, float] = {
     "map_fit": 9.05, "frame_fit": 13.4, "coarse_fit": 0.207, "unexplained": -10.6, "left_over": -0.701,
     "frame_peak": 6.43, "score_bank": 10.1,
 }  # fmt: skip
-"""Weight of each number in the log-odds that a candidate is the one that is shown, from validation frames
-(experiments/fit_candidates.py). How far it stands out over yaw is no part of it: that tells of its symmetry."""
+"""Weight of each number in the log-odds that a candidate is the one shown, fitted on validation frames
+(experiments/fit_candidates.py). How far the best yaw stands out is left out: it depends on the object's symmetry."""
 STEPS = (256, 64, 48)
-"""Range bins, beams, and beams of the object, of which shared windows are multiples."""
+"""Shared windows are multiples of these: range bins, beams, and beams of the object."""
 SAME_START = math.radians(5.0)
-"""Starts whose yaws [rad] are no farther apart are one."""
+"""Starts whose yaws differ by less [rad] count as one."""
 
 
 class Look(NamedTuple):
@@ -51,10 +51,10 @@ def look_closely(
     targets: Mapping[str, TargetSearch], first_look: FirstLook | None, config: SearchConfig,
     pictures: Sequence[np.ndarray], mask: np.ndarray | None, engine: Engine,
 ) -> list[Look]:  # fmt: skip
-    """The targets that come into question, best first, as they match the `pictures`: the map, and perhaps the frame.
+    """Match the candidates with the `pictures` (range, beam): the map, and optionally the frame. Best first.
 
-    Pictures and `mask` are (range, beam). Where a segmenter fails, the match on the frame may be right. A `first_look`
-    leaves few of many targets. Raises SonarjaxError as `TargetSearch.find` does.
+    Where a segmenter fails, the match on the frame may still be right. `first_look` selects the candidates among many
+    targets. `mask` (range, beam) is true where a pixel was measured. Raises SonarjaxError as `TargetSearch.find` does.
     """
     near: list[Mapping[str, Any]] = [dict.fromkeys(targets)] * len(pictures)
     names = list(targets)
