@@ -1,8 +1,8 @@
 """Labelled training pairs made by the simulator (§3.1): random objects and views, cropped to 128 × 128.
 
-`make_pairs(count, key=split_key(run_seed, "train"))` draws them from a key; `export_pairs` and `import_pairs` keep them
-as PNG files. `make_dataset` writes whole frames with instance masks, boxes and poses. `cut_box` and `paste_patch` are
-the resampling that training and inference share.
+`make_pairs(count, key=split_key(run_seed, "train"))` draws pairs at random from a key. `export_pairs` writes them to
+PNG files and `import_pairs` reads them back. `make_dataset` writes whole frames with instance masks, boxes and poses.
+`cut_box` and `paste_patch` do the resampling, which training and inference share.
 """
 
 from sonarjax.crops import PATCH, Box, cut_box, paste_patch

@@ -1,4 +1,4 @@
-"""The card of a data set: what is in it, how it was made, and a contact sheet of its first frames."""
+"""Write the card (README.md) of a data set: its contents, how it was made, and a contact sheet of its first frames."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from sonarjax.data.formats import CLASSES, Axes, Item, png_bytes
 from sonarjax.data.frames import CHUNK
 
 SHOWN, ACROSS = 8, 4
-"""Frames on the contact sheet, and how many in a row."""
+"""Number of frames on the contact sheet, and number of frames in a row."""
 LEAST_PIXELS = 256
-"""Pictures of fewer pixels a side are enlarged by a whole number."""
+"""A picture is enlarged by whole factors until each side has at least this many pixels."""
 COLORS = np.array(
     [[230, 159, 0], [86, 180, 233], [0, 158, 115], [240, 228, 66], [0, 114, 178], [213, 94, 0], [204, 121, 167]]
 )
-"""One for each object in turn: Okabe and Ito's, which the colour-blind can tell apart."""
+"""Colours given to the objects in turn, from the palette of Okabe and Ito, which colour-blind people can tell apart."""
 SHADE = 0.45
-"""How much darker an object's shadow is than its highlight."""
+"""Brightness of an object's shadow, as a share of that of its highlight."""
 UNSTATED = "none stated by whoever made this data set; the meshes' own licences apply to what shows them"
 CONTENTS = {
     "png": "`images/` the frames, `labels/` 0 shadow, 128 background, 255 highlight, `instances/` 0 background, k the "
@@ -36,17 +36,17 @@ CONTENTS = {
 
 
 class Summary:
-    """Counts and ranges over all frames, taken in one by one."""
+    """Counts and value ranges over all frames, which are added one by one."""
 
     def __init__(self) -> None:
-        """Of no frame yet."""
+        """Start without any frame."""
         self.frames = 0
         self.objects: dict[str, dict[str, int]] = {}
         self.in_frame: dict[int, int] = {}
         self.ranges: dict[str, list[float]] = {}
 
     def add(self, line: dict[str, Any]) -> None:
-        """Take in one frame's line of the manifest."""
+        """Add one frame, given its record from the manifest."""
         self.frames += 1
         count = len(line["objects"])
         self.in_frame[count] = self.in_frame.get(count, 0) + 1
@@ -66,7 +66,7 @@ class Summary:
 
 
 def card_text(facts: dict[str, Any], summary: Summary, axes: Axes) -> str:
-    """README.md of a data set with the settings `facts`."""
+    """Text of a data set's README.md; `facts` is the content of its settings file."""
     settings = facts["settings"]
     shape = len(axes.range_edges_m) - 1, len(axes.azimuth_deg)
     counts = [
@@ -105,7 +105,7 @@ def card_text(facts: dict[str, Any], summary: Summary, axes: Axes) -> str:
 
 
 def contact_sheet(items: Sequence[Item]) -> bytes:
-    """PNG of up to `SHOWN` frames, each beside what is in it; near rows are below, port is on the left."""
+    """PNG of up to `SHOWN` frames, each beside a copy with coloured objects; near ranges at the bottom, port left."""
     tiles = [_tile(item) for item in items[:SHOWN]]
     blank = np.full_like(tiles[0], 255)
     tiles += [blank] * (-len(tiles) % min(ACROSS, len(tiles)))
@@ -115,7 +115,7 @@ def contact_sheet(items: Sequence[Item]) -> bytes:
 
 
 def _tile(item: Item) -> UInt8[np.ndarray, "row column 3"]:
-    """A frame and what is in it, side by side, with a white frame."""
+    """A frame and its copy with coloured objects, side by side, each with a white margin."""
     grey = np.repeat(item.image[..., None], 3, axis=2)
     colour = COLORS[(item.instances.astype(int) - 1) % len(COLORS)]
     shade = np.where(item.labels == 2, SHADE, 1.0)[..., None]

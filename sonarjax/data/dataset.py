@@ -1,8 +1,8 @@
-"""`make_dataset`: a folder of simulated frames and what is in them, for other people's networks.
+"""`make_dataset`: write a folder of simulated frames with their labels, boxes and poses, for training other networks.
 
-Frames are made in chunks. A chunk's files are written first, then its part of the manifest, whose presence says that
-the chunk is done: a run that was killed goes on with the chunks that lack theirs, and so does a second process that
-makes another shard. When the last part is there, manifest, annotations and card are made of the parts, line by line.
+Frames are made in chunks. The files of a chunk are written first, and then its part of the manifest. The part marks the
+chunk as done: a restarted run makes only the chunks without a part. Several processes can make different shards in the
+same folder. Once all parts exist, the manifest, annotations and card are made from them, line by line.
 """
 
 from __future__ import annotations
@@ -34,25 +34,25 @@ from sonarjax.sonar import Sonar
 
 SETTINGS, PARTS, SHEET, CARD = "dataset.json", "parts", "contact_sheet.png", "README.md"
 VERSION = 2
-"""Of the folder's layout, and of how frames are drawn from their numbers."""
+"""Version of the folder's layout and of the way in which a frame is drawn from its number."""
 MOST_FRAMES = 2**31
 SENSOR_FIELDS = tuple(field.name for field in dataclasses.fields(SensorModel))
 Lines = list[dict[str, Any]]
 
 
 class Plan(NamedTuple):
-    """All that a frame depends on but its number."""
+    """Everything that a frame depends on, except its number."""
 
     meshes: Mesh
     """The meshes as one batch."""
     sonar: Sonar
-    """What looks."""
+    """The sonar that images them."""
     limits: Limits
     """Where objects may stand."""
     axes: Axes
-    """What the pixels mean, and what the meshes are called."""
+    """Azimuths and ranges of the pixels, and names of the meshes."""
     key: np.ndarray
-    """Data of the key."""
+    """Data of the JAX key."""
     frames: int
     """Number of frames."""
     format: str
@@ -65,11 +65,11 @@ class Part(NamedTuple):
     """A chunk of frames, ready to be written."""
 
     chunk: int
-    """Its number."""
+    """Number of the chunk."""
     files: Files
-    """Contents by name in the folder."""
+    """Contents of the files, by their path in the folder."""
     lines: Lines
-    """What is known of each frame."""
+    """One record for each frame: its number, file names, objects and sensor parameters."""
 
 
 def _write(content: bytes, file: BinaryIO) -> None:
@@ -90,14 +90,31 @@ def make_dataset(
     engine: Engine = PLAIN,
     progress: Callable[[int], object] | None = None,
 ) -> bool:
-    """Write `count` frames of `meshes` (by name) in a format of `FORMATS`; True when the data set is complete.
+    """Write a data set of simulated frames to a folder, or continue one that was interrupted.
 
-    Frame k depends on `key` and k alone, so that a run which was cut off is taken up, and `shard` (i, n) makes one of n
-    parts of it: together they give the same files as one run. `progress` is told how many frames are done, some of
-    which may have been there already. On a CPU the files are the same byte for byte on the same kind of processor.
+    With all else the same, frame k depends only on `key` and k. An interrupted run can therefore be continued, and
+    shards together give the same files as a single run. On CPUs of the same kind, the files are identical byte for byte.
 
-    Raises SonarjaxError for settings that cannot be, a mesh larger than the view, a sonar that sees no floor, and a
-    folder that holds anything but the beginning of the same data set.
+    Args:
+        meshes: The meshes, by name.
+        sonar: The sonar.
+        folder: Where to write; must be missing, empty, or hold a part of the same data set.
+        count: Number of frames in the whole data set.
+        key: JAX key from which everything random is drawn.
+        format: One of `FORMATS`.
+        settings: How frames are made.
+        shard: (i, n) to make only the i-th of n parts of the data set, counted from 1.
+        license: Licence to state in the data set's card.
+        engine: What makes the chunks.
+        progress: Called with a number of frames whenever that many more are done; includes frames that an earlier run
+            made.
+
+    Returns:
+        True if the data set is complete, False if chunks of other shards are missing.
+
+    Raises:
+        SonarjaxError: A setting is not allowed, a mesh is larger than the view, the sonar sees no floor, or the folder
+            holds something other than a part of the same data set.
     """
     plan = _plan(meshes, sonar, count, key, format, settings)
     if not (1 <= shard[0] <= shard[1]):
@@ -120,7 +137,11 @@ def make_dataset(
 
 
 def draw_part(plan: Plan, chunk: int, engine: Engine) -> Part:
-    """The frames of a chunk as files and lines. Raises SonarjaxError as `draw_chunk` does."""
+    """Draw the frames of a chunk and turn them into files and manifest records.
+
+    Raises:
+        SonarjaxError: As `draw_chunk`.
+    """
     drawn = draw_chunk(plan.meshes, plan.sonar, plan.limits, chunk, plan.settings, engine, key=plan.key)
     files, lines, items = Files(), Lines(), []
     for at, number in enumerate(range(chunk * CHUNK, min((chunk + 1) * CHUNK, plan.frames))):
@@ -163,7 +184,7 @@ def _plan(
 
 
 def _facts(plan: Plan, meshes: Mapping[str, Mesh], license: str) -> dict[str, Any]:
-    """What the folder's settings file says: two runs that agree in it make the same files."""
+    """The content of the folder's settings file. Two runs for which it is equal make the same files."""
     known = [
         {"name": name, "triangles": _triangles(mesh), "sha256": _digest([mesh.vertices, mesh.faces])}
         for name, mesh in meshes.items()
@@ -188,7 +209,11 @@ def _digest(arrays: Iterable[Any]) -> str:
 
 
 def _take_up(target: Path, facts: dict[str, Any]) -> None:
-    """Make the folder, or see that it is the same data set. Raises SonarjaxError for any other."""
+    """Prepare the folder of a new data set, or check that an existing folder holds the same data set.
+
+    Raises:
+        SonarjaxError: It holds something else.
+    """
     if target.exists() and not target.is_dir():
         raise SonarjaxError(f"{target}: expected a folder, this is a file")
     path = target / SETTINGS
@@ -229,7 +254,7 @@ def _part(target: Path, chunk: int) -> Path:
 
 
 def _missing(target: Path, chunks: range, count: int, told: Callable[[int], object]) -> Iterator[int]:
-    """The chunks that have no part yet; of the others `told` hears at once."""
+    """Yield the chunks that have no part yet; report the frames of finished chunks to `told`."""
     for chunk in chunks:
         if _part(target, chunk).exists():
             told(min((chunk + 1) * CHUNK, count) - chunk * CHUNK)
@@ -238,7 +263,7 @@ def _missing(target: Path, chunks: range, count: int, told: Callable[[int], obje
 
 
 def _lines(target: Path, count: int) -> Iterator[dict[str, Any]]:
-    """What is known of each frame, in order, one at a time."""
+    """Yield the records of all frames in order, reading one at a time."""
     for chunk in range(_chunks(count)):
         with open(_part(target, chunk), encoding="utf-8") as file:
             for line in file:
@@ -246,9 +271,9 @@ def _lines(target: Path, count: int) -> Iterator[dict[str, Any]]:
 
 
 def _finish(target: Path, plan: Plan, facts: dict[str, Any]) -> None:
-    """Manifest, annotations and card of all parts; what a killed process left half written goes."""
+    """Write the manifest, annotations and card from all parts, and delete temporary files of interrupted processes."""
     for name in _FOLDERS[plan.format]:
-        for left in (target / name).glob(".sonarjax-*.tmp"):  # all frames are there: nobody writes here any more
+        for left in (target / name).glob(".sonarjax-*.tmp"):  # all frames exist, so no process writes here any more
             left.unlink(missing_ok=True)
     summary = Summary()
 
@@ -263,7 +288,7 @@ def _finish(target: Path, plan: Plan, facts: dict[str, Any]) -> None:
         _write_lines(target / "annotations.json", _coco(target, plan))
     if plan.format == "yolo":
         names = "".join(f"  {k}: {json.dumps(name)}\n" for k, name in enumerate(category_names(plan.axes.names)))
-        # Without `path`, which readers take from where they are started: then the folder is where the file lies.
+        # `path` is left out: readers take it relative to their working directory, but without it use this file's folder.
         write_text(target / "data.yaml", f"train: images\nval: images\nnames:\n{names}")
     write_text(target / CARD, card_text(facts, summary, plan.axes))
 
@@ -273,7 +298,7 @@ def _write_lines(path: Path, lines: Iterator[str]) -> None:
 
 
 def _coco(target: Path, plan: Plan) -> Iterator[str]:
-    """annotations.json piece by piece; an annotation's number follows from its frame's, its object's and its class."""
+    """Yield annotations.json piece by piece; an annotation's id is computed from its frame, object and class."""
     height, width = plan.sonar.shape
     categories = [
         {"id": category(mesh, label), "name": f"{name} {kind}", "supercategory": name}

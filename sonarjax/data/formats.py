@@ -1,7 +1,8 @@
-"""One frame of a data set as files: PNG, NPZ, COCO and YOLO, and the line that describes it.
+"""Encode one frame of a data set as PNG, NPZ, COCO or YOLO files, and describe its objects for the manifest.
 
-A box is [left, top, width, height] in pixels, beams and range bins from the near starboard corner on, or None where
-nothing of the class is seen. COCO and YOLO have two categories for each mesh, its highlight and its shadow.
+A box is [left, top, width, height] in pixels: left and width in beams, top and height in range bins, counted from the
+near starboard corner. It is None if nothing of the class is seen. COCO and YOLO have two categories for each mesh: its
+highlight and its shadow.
 """
 
 from __future__ import annotations
@@ -19,29 +20,29 @@ from sonarjax.data.folder import STORED
 from sonarjax.io.atomic import zip_arrays
 
 CLASSES = ("highlight", "shadow")
-"""Of an object's pixels; the first is label 1, the second label 2."""
+"""The classes of an object's pixels: label 1 is the first, label 2 the second."""
 Files = dict[str, bytes]
 
 
 class Item(NamedTuple):
-    """One frame, and what is in it."""
+    """One frame with its labels and objects."""
 
     number: int
-    """Its number in the data set."""
+    """Number of the frame in the data set."""
     image: UInt8[np.ndarray, "range beam"]
-    """What a device stores."""
+    """Image as a device stores it."""
     labels: UInt8[np.ndarray, "range beam"]
     """0 background, 1 highlight, 2 shadow."""
     instances: UInt8[np.ndarray, "range beam"]
-    """Which object's highlight or shadow it is, from 1 on."""
+    """Number of the object that the highlight or shadow belongs to, from 1 on; 0 for background."""
     meshes: list[int]
-    """Number of each object's mesh."""
+    """Index of each object's mesh."""
     poses: list[list[float]]
-    """x [m], y [m] and yaw [rad] of each."""
+    """x [m], y [m] and yaw [rad] of each object."""
 
 
 class Axes(NamedTuple):
-    """What the pixels of all frames mean, and what objects are called."""
+    """Azimuths and ranges of the pixels, which all frames share, and the names of the meshes."""
 
     azimuth_deg: np.ndarray
     """Beam centres (beam,) [deg]."""
@@ -52,12 +53,12 @@ class Axes(NamedTuple):
 
 
 def mask_of(item: Item, instance: int, label: int) -> Bool[np.ndarray, "range beam"]:
-    """The pixels (range, beam) of class `label` of the object `instance` (from 1 on) that are seen."""
+    """Mask (range, beam) of the visible pixels of class `label` that belong to object `instance` (from 1 on)."""
     return (item.instances == instance) & (item.labels == label)
 
 
 def box_of(mask: Bool[np.ndarray, "range beam"]) -> list[int] | None:
-    """[left, top, width, height] [pixels] around a mask (range, beam), None around nothing."""
+    """Bounding box [left, top, width, height] [pixels] of a mask (range, beam); None if the mask is empty."""
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if len(rows) == 0:
         return None
@@ -66,14 +67,17 @@ def box_of(mask: Bool[np.ndarray, "range beam"]) -> list[int] | None:
 
 
 def run_lengths(mask: Bool[np.ndarray, "range beam"]) -> dict[str, Any]:
-    """A mask (range, beam) as COCO's uncompressed run lengths: down the columns, beginning with what is not set."""
+    """Encode a mask (range, beam) as COCO's uncompressed run lengths.
+
+    Pixels are taken column by column. The first run counts unset pixels.
+    """
     flat = np.concatenate([[False], mask.ravel(order="F")])
     changes = np.flatnonzero(flat[1:] != flat[:-1])
     return {"size": list(mask.shape), "counts": np.diff([0, *changes, mask.size]).tolist()}
 
 
 def describe_objects(item: Item, axes: Axes) -> list[dict[str, Any]]:
-    """Each object's name, pose [m, deg], and the box and number of pixels of its highlight and of its shadow."""
+    """List each object's name and pose [m, deg], and the box and pixel count of its highlight and of its shadow."""
     found = []
     for instance, (mesh, (x, y, yaw)) in enumerate(zip(item.meshes, item.poses, strict=True), 1):
         entry = {"instance": instance, "mesh": axes.names[mesh]}
@@ -86,22 +90,22 @@ def describe_objects(item: Item, axes: Axes) -> list[dict[str, Any]]:
 
 
 def short(value: float) -> float:
-    """A float32 in as few digits as tell it apart."""
+    """Round a float32 value to 7 significant digits, so that it is short when written in JSON."""
     return float(f"{value:.7g}")
 
 
 def category(mesh: int, label: int) -> int:
-    """COCO's number of a mesh's highlight (label 1) or shadow (2), from 1 on."""
+    """COCO category id, from 1 on, of the highlight (label 1) or shadow (label 2) of a mesh."""
     return len(CLASSES) * mesh + label
 
 
 def category_names(names: Sequence[str]) -> list[str]:
-    """Names of all categories in their order."""
+    """Names of all categories, in the order of their ids, for the mesh names `names`."""
     return [f"{name} {kind}" for name in names for kind in CLASSES]
 
 
 def _seen(item: Item) -> Iterator[tuple[int, int, np.ndarray, list[int]]]:
-    """Instance, category, mask (range, beam) and box of all that is seen of each object."""
+    """Yield instance, category, mask (range, beam) and box of each object's highlight and shadow, where visible."""
     for instance, mesh in enumerate(item.meshes, 1):
         for label in range(1, len(CLASSES) + 1):
             mask = mask_of(item, instance, label)
@@ -110,14 +114,17 @@ def _seen(item: Item) -> Iterator[tuple[int, int, np.ndarray, list[int]]]:
 
 
 def png_bytes(image: UInt8[np.ndarray, "row column *channel"]) -> bytes:
-    """A picture (row, column), grey, or (row, column, 3) in colour, as PNG."""
+    """Encode a picture as PNG: grey (row, column) or colour (row, column, 3)."""
     buffer = io.BytesIO()
     Image.fromarray(np.ascontiguousarray(image)).save(buffer, format="PNG")
     return buffer.getvalue()
 
 
 def _png(item: Item, axes: Axes) -> tuple[Files, dict[str, Any]]:
-    """Image, labels (0 shadow, 128 background, 255 highlight, as `import_pairs` reads them) and instances."""
+    """PNG files of the image, the labels and the instances.
+
+    Labels are stored as 0 shadow, 128 background and 255 highlight, as `import_pairs` reads them.
+    """
     stem = f"{item.number:08d}.png"
     pictures = {"image": item.image, "labels": STORED[item.labels], "instances": item.instances}
     names = {"image": f"images/{stem}", "labels": f"labels/{stem}", "instances": f"instances/{stem}"}
@@ -125,7 +132,10 @@ def _png(item: Item, axes: Axes) -> tuple[Files, dict[str, Any]]:
 
 
 def _npz(item: Item, axes: Axes) -> tuple[Files, dict[str, Any]]:
-    """All arrays in one file, whose `image` can be recognized; `boxes` are -1 where nothing is seen."""
+    """One NPZ file with all arrays; `boxes` is -1 where nothing is seen.
+
+    The file can be given to recognition as a frame, because it has an `image`.
+    """
     count = len(item.meshes)
     masks = {
         name: np.array([mask_of(item, k, label) for k in range(1, count + 1)])
@@ -145,7 +155,7 @@ def _npz(item: Item, axes: Axes) -> tuple[Files, dict[str, Any]]:
 
 
 def _coco(item: Item, axes: Axes) -> tuple[Files, dict[str, Any]]:
-    """The image; annotations wait in the line for the one file that COCO wants."""
+    """The image as PNG. The annotations go into the frame's record, and later into one file for all frames."""
     name = f"images/{item.number:08d}.png"
     annotations = []
     for instance, number, mask, box in _seen(item):
@@ -157,7 +167,10 @@ def _coco(item: Item, axes: Axes) -> tuple[Files, dict[str, Any]]:
 
 
 def _yolo(item: Item, axes: Axes) -> tuple[Files, dict[str, Any]]:
-    """The image, and a text file with a line for each box: category from 0 on, middle and size as shares."""
+    """The image, and a text file with a line for each box: category from 0 on, then centre and size.
+
+    Centre and size are shares of the image's width and height.
+    """
     height, width = item.image.shape
     lines = []
     for _, number, _, (left, top, columns, rows) in _seen(item):
@@ -171,4 +184,4 @@ def _yolo(item: Item, axes: Axes) -> tuple[Files, dict[str, Any]]:
 FORMATS: dict[str, Callable[[Item, Axes], tuple[Files, dict[str, Any]]]] = {
     "png": _png, "npz": _npz, "coco": _coco, "yolo": _yolo
 }  # fmt: skip
-"""What makes a frame's files by name, and the names that its line of the manifest has for them."""
+"""Encoders by format. Each returns a frame's files by name, and the entries that its manifest record gets for them."""

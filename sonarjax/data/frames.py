@@ -1,4 +1,7 @@
-"""Frames of a data set as a jitted function of a key and their numbers: what a device stores, and what is in it."""
+"""Draw the frames of a data set: the image that a device would store, and its labels, objects and poses.
+
+A jitted function computes them from a key and the frames' numbers.
+"""
 
 from __future__ import annotations
 
@@ -22,24 +25,27 @@ from sonarjax.sensor import SensorModel, observe, render_bounces, with_skirts
 from sonarjax.sonar import Sonar
 
 CHUNK = 16
-"""Frames of one call of the compiled function, which are also kept, or lost, together."""
+"""Number of frames that one call of the compiled function makes. They are also written together, so that an
+interrupted run loses all frames of an unfinished chunk."""
 MOST_SCENES = 32
-"""Most objects in a frame."""
+"""Upper limit of `FrameSettings.scenes`, the number of objects in a frame."""
 SENSORS = ("nominal", "drawn", "wide")
-"""Whose frames: one device, `SensorModel.nominal`; a device for each frame, `SensorModel.draw`, or `draw_wide`."""
+"""Choices of the sensor model: `nominal` is one device for all frames (`SensorModel.nominal`). `drawn` and `wide` draw a
+new device for each frame, with `SensorModel.draw` and `SensorModel.draw_wide`."""
 ROOMS = (1, 2, 4, 16, 64)
-"""How much more room for triangles a frame is given, one after the other, until none is left out. Most frames need no
-more than one object does: seldom does a slice cross several."""
+"""Factors by which the capacity for triangles in a slice is multiplied. They are tried in this order until no triangle
+of the frame is left out. Factor 1, the capacity for one object, suffices for most frames, because a slice rarely
+crosses several objects."""
 AGAIN = 4
-"""Frames of a call with more room."""
+"""Number of frames in a call that repeats frames with a larger capacity."""
 
 
 @dataclass(frozen=True)
 class FrameSettings:
-    """What is fixed about the frames of a data set; hashable, so that it can be static under `jax.jit`."""
+    """Settings that all frames of a data set share; hashable, so that they can be static under `jax.jit`."""
 
     scenes: int = 1
-    """Most objects in a frame; how many is drawn evenly from 1 on."""
+    """Largest number of objects in a frame. The number is drawn uniformly from 1 to this."""
     sensor: str = "drawn"
     """One of `SENSORS`."""
     severity: float = 1.0
@@ -48,7 +54,11 @@ class FrameSettings:
     """How finely frames are rendered."""
 
     def __post_init__(self) -> None:
-        """Raises SonarjaxError for settings that cannot be."""
+        """Check the settings.
+
+        Raises:
+            SonarjaxError: A setting is outside its range.
+        """
         if not 1 <= self.scenes <= MOST_SCENES:
             raise SonarjaxError(f"scenes: expected 1 to {MOST_SCENES} objects in a frame, got {self.scenes}")
         if self.sensor not in SENSORS:
@@ -58,46 +68,58 @@ class FrameSettings:
 
 
 class Drawn(NamedTuple):
-    """Frames and what is in them; every field leads with the frame's axis."""
+    """Frames and their contents. The first axis of every field is the frame."""
 
     image: UInt8[Any, "frame range beam"]
-    """What a device stores, 0 to 255."""
+    """Image as a device stores it, 0 to 255."""
     labels: UInt8[Any, "frame range beam"]
     """0 background, 1 highlight, 2 shadow."""
     instances: UInt8[Any, "frame range beam"]
-    """Which object's highlight or shadow it is: 1 for the first object, 0 for background."""
+    """Number of the object that the highlight or shadow belongs to: 1 for the first object, 0 for background."""
     mesh: Any
-    """Number of each object's mesh (frame, object)."""
+    """Index of each object's mesh (frame, object)."""
     pose: Float[Any, "frame object 3"]
     """x [m], y [m] and yaw [rad] of each object."""
     there: Any
-    """Whether there is such an object (frame, object)."""
+    """Whether the object exists (frame, object). Frames with fewer objects have unused entries."""
     sensor: Float[Any, "frame parameter"]
-    """The sensor model: `SensorModel`'s fields in their order."""
+    """Parameters of the sensor model, in the order of `SensorModel`'s fields."""
     overflow: Any
-    """Triangles without room (frame,), as in `SonarFrame`."""
+    """Number of triangles that exceed the capacity (frame,), as in `SonarFrame`."""
 
 
 def draw_chunk(
     meshes: Mesh, sonar: Sonar, limits: Limits, chunk: int, settings: FrameSettings, engine: Engine, *, key: np.ndarray
 ) -> Drawn:
-    """The frames `chunk` · CHUNK and on, as NumPy arrays; a frame is the same whatever is drawn beside it.
+    """Draw the CHUNK frames of a chunk, as NumPy arrays.
 
-    `meshes` (mesh, ...) are those of `stack_meshes`, `key` is a key's data. Raises SonarjaxError when a slice crosses
-    more triangles than there can be room for.
+    A frame depends on `key` and its own number, not on the frames that are drawn together with it.
+
+    Args:
+        meshes: Meshes (mesh, ...) from `stack_meshes`.
+        sonar: The sonar.
+        limits: Where objects may stand.
+        chunk: Number of the chunk; its first frame has number `chunk` · CHUNK.
+        settings: How frames are made.
+        engine: What runs the compiled function.
+        key: Data of a JAX key.
+
+    Raises:
+        SonarjaxError: A slice crosses more triangles than the largest capacity holds.
     """
     columns = touched_beams(meshes, sonar, limits) if settings.scenes == 1 else None
     args = meshes, sonar, jnp.asarray(limits, jnp.float32), key
 
     def drawn(numbers: np.ndarray, room: int) -> Drawn:
         static = {"settings": settings, "room": room, "columns": columns}
-        # Copies, because arrays of JAX cannot be written to.
+        # JAX arrays are read-only; copy them, because frames may be replaced below.
         return Drawn(*(np.array(v) for v in engine.run(_draw_frames, *args, numbers, **static)))
 
     numbers = np.uint32(chunk * CHUNK) + np.arange(CHUNK, dtype=np.uint32)
     found = drawn(numbers, ROOMS[0])
     for room in ROOMS[1:]:
-        # A frame keeps the least room that is enough, however much its neighbours need.
+        # Only frames that overflow are drawn again, so that each frame gets the smallest capacity that suffices,
+        # whatever the other frames of the chunk need.
         full = np.flatnonzero(found.overflow > 0)
         for start in range(0, len(full), AGAIN):
             places = full[start : start + AGAIN]
@@ -142,8 +164,8 @@ def _draw_frame(
         wide = sonar.replace(elevation_aperture=aperture)
         return render_objects(mesh, objects, Pose(), wide, window, settings.quality, apart)
 
-    # Labels in the sonar's own aperture, the image in a wider one: one after the other, so that the renderer is
-    # compiled once.
+    # Labels are rendered with the sonar's own aperture, the image with a wider one. `jax.lax.map` does this one after
+    # the other, so that the renderer is compiled once.
     apertures = jnp.stack([jnp.asarray(s.elevation_aperture, jnp.float32) for s in (sonar, with_skirts(sonar))])
     both, layers = jax.lax.map(reaching, (apertures, jnp.array([True, False])))
     frame, seen = (replace(jax.tree.map(lambda v, k=k: v[k], both), sonar=sonar) for k in (0, 1))
@@ -163,7 +185,7 @@ def _draw_frame(
 
 
 def _instances(labels: Array, layers: Any) -> Array:
-    """The object with the largest share of each pixel's class (range, beam), from 1 on; 0 for background."""
+    """For each pixel (range, beam), the object with the largest share of its class: 1 for the first, 0 for background."""
     highlight, shadow = (jnp.argmax(v, axis=0).astype(jnp.uint8) + 1 for v in (layers.highlight, layers.shadow))
     return jnp.where(labels == 1, highlight, jnp.where(labels == 2, shadow, 0)).astype(jnp.uint8)
 

@@ -1,6 +1,7 @@
-"""Where the objects of a data set's frame stand: places in the sonar's view, none of which overlap.
+"""Place the objects of a data set's frame at random in the sonar's view, without overlap.
 
-`placement_limits` looks at the sonar on the host, `draw_layout` draws under jit, `join_layout` makes one mesh of it.
+`placement_limits` computes on the host where objects may stand. `draw_layout` draws their places under `jax.jit`, and
+`join_layout` joins the placed objects into one mesh.
 """
 
 from __future__ import annotations
@@ -22,46 +23,51 @@ from sonarjax.scene import Mesh, Pose
 from sonarjax.sonar import Sonar
 
 TRIES = 64
-"""Places that are drawn for an object; it is left out where all of them are taken."""
+"""Number of places that are drawn for an object. If none of them is free, the object is left out."""
 SPARE_BEAMS = 4
-"""Beams on top of what an object touches: for the places between those that were looked at, and cut beams."""
+"""Beams added to the number that an object touches: for places between the sampled ones, and beams touched in part."""
 GAP_M = 0.02
 """Least distance between the circles around two objects [m]."""
 OUTERMOST = 0.9
-"""Share of the field of view, and of the lit ranges, in which the objects' origins lie."""
+"""Central share of the field of view, and of the lit ranges, in which the objects' origins may lie."""
 AROUND = 64
-"""Points of a circle, by which its azimuths are found."""
+"""Number of points on a circle from which the azimuths that it covers are found."""
 
 
 class Limits(NamedTuple):
-    """Where objects may stand."""
+    """Where the origins of objects may lie."""
 
     near: float
-    """Least slant range of an origin [m]."""
+    """Smallest slant range of an origin [m]."""
     far: float
-    """Largest slant range [m]."""
+    """Largest slant range of an origin [m]."""
     left: float
     """Starboard-most azimuth of an origin [rad]."""
     right: float
-    """Port-most azimuth [rad]."""
+    """Port-most azimuth of an origin [rad]."""
 
 
 @record
 class Layout:
-    """The objects of a frame; what is not there comes last."""
+    """The objects of a frame. Unused entries come last."""
 
     mesh: Int[Array, "object"]
-    """Number of each object's mesh."""
+    """Index of each object's mesh."""
     pose: Pose
-    """Where each stands: fields (object,)."""
+    """Pose of each object; its fields have shape (object,)."""
     there: Bool[Array, "object"]
-    """Whether there is such an object."""
+    """Whether the object exists; False for unused entries."""
 
 
 def placement_limits(sonar: Sonar, name: str = "sonar") -> Limits:
-    """Where on lit floor in the window of `sonar` objects can stand; `name` opens the message.
+    """Compute where objects can stand on the floor that `sonar` lights, within its ranges and beams.
 
-    Raises SonarjaxError when the sonar sees no floor.
+    Args:
+        sonar: The sonar.
+        name: What an error message begins with.
+
+    Raises:
+        SonarjaxError: The sonar sees no floor.
     """
     height, tilt, half = (float(v) for v in (sonar.height, sonar.tilt, sonar.elevation_aperture / 2))
     steep, flat = tilt + half, tilt - half
@@ -79,16 +85,21 @@ def placement_limits(sonar: Sonar, name: str = "sonar") -> Limits:
 
 
 def touched_beams(meshes: Mesh, sonar: Sonar, limits: Limits) -> int | None:
-    """Upper bound of the beams that one object of `meshes` (mesh, ...) touches anywhere; None for all of them.
+    """Upper bound of the number of beams that one object of `meshes` (mesh, ...) touches at any place.
 
-    Of the cylinders around the objects' origins, at places all over the limits.
+    Computed for a vertical cylinder that encloses any of the meshes, at a grid of places within the limits.
+
+    Returns:
+        The number of beams; None if all beams are needed.
     """
     if float(sonar.roll) != 0.0:
         return None
     slant, azimuth = np.meshgrid(np.linspace(*limits[:2], 9), np.linspace(*limits[2:], 9))
     x, y = (np.asarray(v)[..., None, None] for v in floor_point(slant, azimuth, sonar))
     around = np.linspace(0, 2 * math.pi, AROUND)
-    radius = float(np.max(np.asarray(meshes.radius))) / math.cos(math.pi / AROUND)  # the circle is inside its polygon
+    radius = float(np.max(np.asarray(meshes.radius))) / math.cos(
+        math.pi / AROUND
+    )  # so that the polygon encloses the circle
     heights = np.array([[0.0], [max(0.0, float(np.max(np.asarray(meshes.top))))]])
     tilt = float(sonar.tilt)
     forward = math.cos(tilt) * (x + radius * np.cos(around)) + math.sin(tilt) * (float(sonar.height) - heights)
@@ -101,13 +112,15 @@ def touched_beams(meshes: Mesh, sonar: Sonar, limits: Limits) -> int | None:
 
 
 def draw_layout(meshes: Mesh, sonar: Sonar, limits: Limits, scenes: int, *, key: Array) -> Layout:
-    """One to `scenes` objects of `meshes` (mesh, ...) at random places and yaws; none overlaps another.
+    """Draw one to `scenes` objects of `meshes` (mesh, ...) at random places and yaws that do not overlap.
 
-    How many is drawn evenly. An object that finds no place in `TRIES` is left out. Overlap is judged by the vertical
-    cylinders around the objects' origins, so that it is ruled out whatever their yaw.
+    The number of objects is drawn uniformly. An object is left out if none of `TRIES` places is free for it. Objects are
+    kept apart by the vertical cylinders around their origins, so that they do not overlap at any yaw.
     """
     many = meshes.vertices.shape[0]
-    numbers = jax.random.uniform(key, (scenes + 1, 2 + 2 * TRIES))  # at once: each draw of its own compiles for long
+    numbers = jax.random.uniform(
+        key, (scenes + 1, 2 + 2 * TRIES)
+    )  # in one call, because each separate draw would add compile time
     wanted = 1 + jnp.floor(scenes * numbers[-1, 0])
     objects: list[tuple[Array, ...]] = []
     for number in range(scenes):
@@ -124,16 +137,16 @@ def draw_layout(meshes: Mesh, sonar: Sonar, limits: Limits, scenes: int, *, key:
         best = jnp.argmax(free)
         objects.append((mesh, x[best], y[best], yaw, meshes.radius[mesh], free[best]))
     mesh, x, y, yaw, _, there = (jnp.stack(v) for v in zip(*objects, strict=True))
-    order = jnp.argsort(~there)  # stable: what is there first
+    order = jnp.argsort(~there)  # stable sort that puts existing objects first
     mesh, x, y, yaw, there = (v[order] for v in (mesh, x, y, yaw, there))
     return Layout(mesh, Pose(x, y, yaw), there)
 
 
 def join_layout(meshes: Mesh, layout: Layout, room: int) -> tuple[Mesh, Objects]:
-    """One mesh in the ground frame of the objects that are there, and which triangle is whose.
+    """Join the objects into one mesh in the ground frame, and record which object each triangle belongs to.
 
-    What is not there shrinks to a point of the first object, where nothing sees it. There is room for `room` times as
-    many triangles in a slice as one object can have there.
+    Objects that do not exist are shrunk to a point of the first object, where they are invisible. The mesh has capacity
+    for `room` times as many triangles in a slice as one object can have there.
     """
     count = len(layout.there)
     picked = jax.tree.map(lambda v: v[layout.mesh], meshes)
