@@ -1,6 +1,6 @@
-"""Crops: a box of any size in a frame, resampled to the one shape that the network sees, and back.
+"""Resample a box of any size in a frame to the fixed shape of a crop that the network takes, and back.
 
-The same functions serve training and inference, because a network knows only the resampling with which it was trained.
+Training and inference use the same functions, because a network only fits the resampling with which it was trained.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ PATCH = (128, 128)
 TRAINING_FRAME = (256, 64)
 """Shape (range, beam) of the frames that training crops are cut from [pixels]."""
 LEAST = (40, 12)
-"""Least size (range, beam) of a crop in its frame [pixels]."""
+"""Smallest size (range, beam) of a crop in its frame, before resampling [pixels]."""
 
 
 class Box(NamedTuple):
-    """A part of a frame. Its edges need not lie on pixel edges."""
+    """A rectangle in a frame. Its edges need not coincide with pixel edges."""
 
     top: Float[Array, ""] | float
     """Near edge [range bins]."""
@@ -35,10 +35,10 @@ class Box(NamedTuple):
 def cut_box(
     image: Float[Array, "range beam"], box: Box, shape: tuple[int, int] = PATCH
 ) -> Float[Array, "patch_range patch_beam"]:
-    """Resample a part of an image (range, beam) to `shape` (patch_range, patch_beam): linear, averaging where it
-    shrinks.
+    """Resample a part of an image (range, beam) to `shape` (patch_range, patch_beam).
 
-    It is zero beyond the frame. Differentiable, in the box too, and works under jit and vmap.
+    Interpolation is linear; where the image shrinks, pixels are averaged. Values outside the frame are zero. The
+    function is differentiable in the image and in the box, and works under jit and vmap.
     """
     scale = jnp.stack([shape[0] / jnp.asarray(box.rows), shape[1] / jnp.asarray(box.columns)])
     corner = jnp.stack([jnp.asarray(box.top, jnp.float32), jnp.asarray(box.left, jnp.float32)])
@@ -48,7 +48,7 @@ def cut_box(
 def paste_patch(
     patch: Float[Array, "patch_range patch_beam"], box: Box, shape: tuple[int, int], outside: float = 0.5
 ) -> Float[Array, "range beam"]:
-    """The inverse of `cut_box`: put a crop (patch_range, patch_beam) back into a frame of `shape` (range, beam).
+    """Put a crop (patch_range, patch_beam) back into a frame of `shape` (range, beam): the inverse of `cut_box`.
 
     Pixels outside the box are set to `outside`, by default the grey of background.
     """

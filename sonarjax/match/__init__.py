@@ -1,7 +1,8 @@
-"""Template matching (§2.3): eq. 4 for every yaw bin of a bank at once, eq. 5's decision and the hypotheses over yaw.
+"""Template matching (§2.3): NCC (eq. 4) for all yaw bins of a bank at once, the decision (eq. 5) and yaw hypotheses.
 
-Takes a frame or semantic map (range, beam) and a bank of templates (yaw, h, w); returns scores (yaw,), positions and
-records. `TargetSearch` holds the banks of one target at all distances; `FirstLook` tells which few of many to search.
+The functions take a frame or semantic map (range, beam) and a bank of templates (yaw, h, w). They return scores (yaw,),
+positions and records. `TargetSearch` holds the banks of one target at all distances. `FirstLook` selects the few of
+many targets that are worth a full search.
 """
 
 from sonarjax.match.decision import Decision, Peaks, between_bins, decide, peaks

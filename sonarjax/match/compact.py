@@ -1,6 +1,8 @@
-"""Banks that take little memory, for catalogues: templates as bytes, spectra computed anew for each frame, few shapes.
+"""Banks that take little memory, for catalogues of many targets.
 
-A bank of 36 templates takes a few hundred kilobytes instead of ten megabytes, and twice the time to match.
+Templates are stored as bytes, and their spectra are computed anew for each frame. Templates are padded to a few common
+shapes, which share compiled code. A bank of 36 templates takes a few hundred kilobytes instead of ten megabytes, but
+matching takes twice as long.
 """
 
 from __future__ import annotations
@@ -40,7 +42,11 @@ class CompactBank(NamedTuple):
 
 
 def match_compact(image: Float[np.ndarray, "range beam"], bank: CompactBank) -> MatchPositions:
-    """Scores (yaw,) of eq. 4 for `image` (range, beam), and the corner of each best window, as `match_positions`."""
+    """Match a compact bank with `image` (range, beam), as `match_positions` does.
+
+    Returns:
+        The best score (yaw,) of each template (eq. 4), and the corner of its best window.
+    """
     centred = image.astype(np.float64) - image.mean(dtype=np.float64)
     height, width = bank.levels.shape[1:]
     more = (0, 0), (0, min(-height % ROWS, image.shape[0] - height)), (0, min(-width % COLUMNS, image.shape[1] - width))
@@ -49,7 +55,14 @@ def match_compact(image: Float[np.ndarray, "range beam"], bank: CompactBank) -> 
 
 
 def window_scale(centred: np.ndarray, window: tuple[int, int]) -> np.ndarray:
-    """1/√energy of the window at each corner (range, beam); 0 if it is nearly constant or leaves the frame."""
+    """1/√energy of the window at each corner (range, beam); 0 where it is nearly constant or extends beyond the frame.
+
+    Energy is that of the deviations from the window's own mean.
+
+    Args:
+        centred: The frame (range, beam) minus its mean.
+        window: Shape of the window.
+    """
     sums = [np.pad(np.cumsum(np.cumsum(v, 0), 1), ((1, 0), (1, 0))) for v in (centred, centred**2)]
     (h, w), scale = window, np.zeros_like(centred)
     total, squares = (s[h:, w:] - s[:-h, w:] - s[h:, :-w] + s[:-h, :-w] for s in sums)

@@ -1,7 +1,8 @@
-"""Which few of many targets a frame may show: all of them at once, coarsely, by a low-rank bank at each distance.
+"""Select the few of many targets that a frame may show, by a coarse match of all of them at once.
 
-`FirstLook` is prepared for the searches of a catalogue. Every target is rendered at every third distance; all these
-templates lie in one box, so that they are compared over the same pixels, and a few components stand for all of them.
+`FirstLook` is prepared for the searches of a catalogue. Every target is rendered at every third distance. All templates
+of a distance are placed in one box, so that they are compared over the same pixels. They form one low-rank bank: a few
+components represent all of them.
 """
 
 from __future__ import annotations
@@ -25,17 +26,17 @@ from sonarjax.match.spectra import correlate, frame_spectrum, over_chunks, pack
 from sonarjax.render import WindowSize, template_bank
 
 YAWS = 36
-"""Templates of a target at each distance, at most; never more than the search has yaw bins."""
+"""Largest number of templates of a target at each distance; never more than the search has yaw bins."""
 SLACK_ROWS = 2
-"""Coarse range bins beyond the middle between two distances that are searched."""
+"""Number of coarse range bins that are searched beyond the midpoint between two distances."""
 SIZE_STEP = 16
-"""Boxes are rounded up to so many coarse range bins and beams: few shapes to be compiled."""
+"""Box sizes are rounded up to multiples of this many coarse range bins and beams, so that few shapes are compiled."""
 EVERY = 2
-"""Templates are tried at every so many beams: half a step is little beside the width of an object."""
+"""Templates are tried at every second beam, because half of this step is small compared with an object's width."""
 LEADS = (1.0, 0.5)
-"""Share of `SearchConfig.lead` that counts on the map, and on the frame itself."""
+"""Shares of `SearchConfig.lead` that are allowed on the map and on the frame itself."""
 ALWAYS = 2
-"""Targets that are always looked at closely: the best and a runner-up."""
+"""Number of targets that are always searched closely: the best one and the runner-up."""
 
 
 class Sighting(NamedTuple):
@@ -44,15 +45,17 @@ class Sighting(NamedTuple):
     search: TargetSearch
     """The target."""
     distance_index: int
-    """Number of the distance at which it matched best."""
+    """Index of the distance at which it matched best."""
     score: float
-    """Its approximate correlation there."""
+    """Its approximate correlation at that distance."""
 
 
 def leading(found: Sequence[Mapping[str, Sighting]], config: SearchConfig) -> list[str]:
-    """Names of the targets to look at closely, best first: by what was `found` in the map, and in the frame itself.
+    """Names of the targets to search closely, best first.
 
-    See `SearchConfig.candidates` and `lead`.
+    Args:
+        found: Sightings by target name: those in the map, then those in the frame itself.
+        config: Its `candidates` and `lead` limit which targets are taken.
     """
     short = {name: np.inf for name in found[0]}
     for share, sightings in zip(LEADS, found, strict=False):
@@ -73,7 +76,7 @@ class _Drawn(NamedTuple):
 
 
 class _Shelf(NamedTuple):
-    """All targets at one distance, in arrays as large as those of all others: they share compiled code."""
+    """All targets at one distance, in arrays of the same size for all distances, so that they share compiled code."""
 
     planes: Array  # spectra of the components
     coefficients: Array
@@ -87,9 +90,10 @@ class FirstLook:
     """The low-rank banks of a catalogue of targets for one sonar."""
 
     def __init__(self, searches: Sequence[TargetSearch]) -> None:
-        """`searches` are of one sonar and one config. Banks are rendered when a frame first needs them.
+        """Set up the banks of `searches`, which must share one sonar and one config.
 
-        All of the searches' banks are rendered in one window from now on: they share compiled code.
+        The banks are rendered when a frame first needs them. From now on, all searches render in windows of one shared
+        size, so that they share compiled code; this changes the searches themselves.
         """
         self.searches = list(searches)
         sizes = [search.size for search in self.searches]
@@ -110,17 +114,17 @@ class FirstLook:
 
     @property
     def n_distances(self) -> int:
-        """Number of distances that are looked at."""
+        """Number of distances at which targets are rendered."""
         return len(self._distances)
 
     @property
     def residual(self) -> float:
-        """Largest share of any template [1] that the components leave: no score is off by more."""
+        """Largest norm [1] that the components leave of any unit template; no score has a larger error."""
         self.prepare()
         return self._residual
 
     def prepare(self, progress: Callable[[int, int], None] = lambda done, of: None) -> list[_Shelf]:
-        """Render all banks, if that was not done yet; `progress` is told how many distances are done, of how many."""
+        """Render all banks unless this was done before; `progress` is called with the distances done and their total."""
         if self._shelves is None:
             drawn = []
             for k, distance in enumerate(self._distances):
@@ -130,13 +134,17 @@ class FirstLook:
         return self._shelves
 
     def best(self, image: np.ndarray, mask: np.ndarray | None = None) -> dict[str, Sighting]:
-        """Where in `image` (range, beam) each target matches best, by name; unmeasured pixels count as background."""
+        """Find where each target matches best in `image` (range, beam).
+
+        Returns:
+            The sightings by target name. Pixels that were not measured (`mask` false) count as background.
+        """
         small = decimated(image if mask is None else np.where(mask, image, 0.5), self.config.decimation)
         shelves = self.prepare()
         found = self.engine.map(lambda shelf: self._match(small, shelf), shelves)
         sightings: dict[str, Sighting] = {}
         for shelf, (scores, rows) in zip(shelves, found, strict=True):
-            # The best template of each target: the last of its own in ascending order.
+            # The dictionary keeps the last template of each target, which is its best one in ascending order.
             order = np.argsort(scores)
             for owner, k in dict(zip(shelf.owner[order].tolist(), order.tolist(), strict=True)).items():
                 search, score = self.searches[owner], float(scores[k])
@@ -145,13 +153,13 @@ class FirstLook:
         return sightings
 
     def _index(self, shelf: _Shelf, row: int) -> int:
-        """The distance's number of a template that matched at `row` of what was searched."""
+        """Index of the distance that belongs to a match at `row` of the searched rows."""
         moved = (row - self._reach) * self.config.decimation * float(self.sonar.range_bin)
         ground = math.sqrt(max((shelf.slant + moved) ** 2 - float(self.sonar.height) ** 2, 0.0))
         return int(np.argmin(np.abs(self.searches[0].distances - ground)))
 
     def _match(self, small: np.ndarray, shelf: _Shelf) -> tuple[np.ndarray, np.ndarray]:
-        """Score and row of each template, near the distance at which it was rendered, at any bearing."""
+        """Best score and row of each template, searched near the distance where it was rendered, at all bearings."""
         (height, width), reach = shelf.box, self._reach
         canvas = np.full(self._canvas, 0.5, np.float32)
         top, beside = shelf.row - reach, width // 2
@@ -166,7 +174,7 @@ class FirstLook:
         return found.scores[: len(shelf.owner)], found.row[: len(shelf.owner)]
 
     def _draw(self, distance: float) -> _Drawn | None:
-        """All targets at a distance [m]; None where none is in view."""
+        """Render all targets at a distance [m] and factor their templates; None if no target is in view there."""
         views = self.engine.map(lambda search: self._view(search, distance), self.searches)
         boxes = [(top, left, *view.levels.shape[1:]) for view, top, left in filter(None, views)]
         if not boxes:
@@ -186,7 +194,7 @@ class FirstLook:
         return _Drawn(factors(templates, self.config.rank), owner, top, slant)
 
     def _shelved(self, drawn: list[_Drawn]) -> list[_Shelf]:
-        """Everything in arrays of one size, components of no weight and templates of no component added."""
+        """Pad the arrays of all distances to one size with components and coefficients of zero."""
         height, width = (max(one.found.components.shape[k] for one in drawn) for k in (1, 2))
         count, rank = (max(one.found.coefficients.shape[k] for one in drawn) for k in (0, 1))
         self._canvas = height + 2 * self._reach, self.sonar.n_beams + 2 * (width // 2)
@@ -202,7 +210,10 @@ class FirstLook:
         return shelves
 
     def _view(self, search: TargetSearch, distance: float) -> tuple[CompactBank, int, int] | None:
-        """A target's coarse templates at a distance [m] with the coarse row and the column of their first pixel."""
+        """A target's coarse templates at a distance [m], with the coarse row and the column of their first pixel.
+
+        None if the target is out of view there.
+        """
         step, count = self.config.decimation, min(self.config.yaw_bins, YAWS)
         yaws = np.arange(count) * (2 * math.pi / count)
         try:
@@ -210,7 +221,7 @@ class FirstLook:
                 search.mesh, self.sonar, yaws, x=distance, size=search.size, quality=self.config.quality,
                 engine=self.engine,
             )  # fmt: skip
-        except SonarjaxError:  # out of view there
+        except SonarjaxError:  # the target is out of view at this distance
             return None
         row, column = (int(v) for v in np.asarray(bank.offset))
         templates = np.asarray(bank.templates)
@@ -220,7 +231,7 @@ class FirstLook:
 
 
 def _make_unit(templates: np.ndarray) -> None:
-    """Give templates (template, h, w) mean 0 and norm 1, in their place: there is no room for another array of them."""
+    """Give templates (template, h, w) mean 0 and norm 1, in place, because a second such array takes too much memory."""
     for one in templates:
         one -= one.mean()
         norm = float(np.linalg.norm(one))
@@ -234,7 +245,7 @@ def _planes(components: Array, canvas: tuple[int, int]) -> Array:
 
 @jax.jit
 def _look(canvas: Array, scale: Array, planes: Array, coefficients: Array) -> MatchPositions:
-    """The best window of each template on a `canvas`, whose windows have norms 1 / `scale` (row, col)."""
+    """The best window of each template on `canvas`; `scale` (row, col) is 1/norm of the window at each corner."""
     frame, shape = frame_spectrum(canvas), (scale.shape[0], scale.shape[1])
     maps = over_chunks(lambda part: correlate(frame, part, shape) * scale, planes)
     return combined(maps.reshape(-1, *shape)[: coefficients.shape[1], :, ::EVERY], coefficients)

@@ -1,9 +1,11 @@
-"""Eq. 4 for banks of many templates: one for all yaws is of low rank, so a few components stand for all of them.
+"""NCC (eq. 4) for banks of many templates: a bank over all yaws has low rank, so a few components represent it.
 
-Takes a bank (template, h, w), returns a `LowRankBank`; a frame is then matched with its components, and the templates'
-maps are their combinations; `scores_at` then takes eq. 4 itself where each fits best. Optional, for speed: `match_bank`
-needs none of it. A truncated SVD of the unit templates
-(Eckart & Young 1936) is found by subspace iteration (Halko, Martinsson & Tropp 2011) from evenly chosen templates.
+`low_rank_bank` turns a bank (template, h, w) into a `LowRankBank`. `match_low_rank` correlates a frame with the
+components only, and combines these maps into those of the templates. `scores_at` then computes eq. 4 exactly at each
+template's best position. All this is optional and only for speed; `match_bank` does without it.
+
+The components are a truncated SVD of the unit templates (Eckart & Young 1936). It is computed by subspace iteration
+(Halko, Martinsson & Tropp 2011) that starts from evenly chosen templates.
 """
 
 from __future__ import annotations
@@ -22,27 +24,33 @@ from sonarjax.match.spectra import check_shapes, inverse_root, unit_templates
 from sonarjax.records import record
 
 PASSES, SPARE = 3, 8
-"""Subspace iterations, and how many more directions they carry than are kept."""
+"""Number of subspace iterations, and number of extra directions that they use beyond those that are kept."""
 CHUNK = 36
-"""Templates whose maps are combined at once: they stay in the processor's cache."""
+"""Number of templates whose maps are combined at once, small enough for the processor's cache."""
 
 
 @record
 class LowRankBank:
-    """A bank as combinations of a few components."""
+    """A bank whose templates are linear combinations of a few components."""
 
     components: PreparedBank
     """Orthonormal templates (component, h, w) of mean 0, with their spectra."""
     coefficients: Float[Array, "*batch template component"]
-    """Each unit template's share of each component."""
+    """Coefficient of each component in each unit template."""
     residual: Float[Array, "*batch template"]
-    """Norm of what the components leave of each unit template: no correlation is off by more."""
+    """Norm of what the components leave of each unit template; no correlation has a larger error."""
 
 
 def low_rank_bank(bank: Any, image_shape: tuple[int, int], rank: int) -> LowRankBank:
-    """`bank` (its `.templates` (template, h, w)) by `rank` components, for frames of `image_shape` (range, beam).
+    """Approximate a bank by a few components.
 
-    Raises SonarjaxError for a rank below 1, or where a template is larger than the frame.
+    Args:
+        bank: A bank with `.templates` (template, h, w), or such an array.
+        image_shape: Shape (range, beam) of the frames to match.
+        rank: Number of components.
+
+    Raises:
+        SonarjaxError: `rank` is below 1, or the templates are larger than the frame.
     """
     templates = jnp.asarray(getattr(bank, "templates", bank), jnp.float32)
     check_shapes(templates.shape, image_shape)
@@ -52,27 +60,32 @@ def low_rank_bank(bank: Any, image_shape: tuple[int, int], rank: int) -> LowRank
 
 
 class Factors(NamedTuple):
-    """Unit templates as combinations of a few components."""
+    """Unit templates as linear combinations of a few components."""
 
     components: Float[np.ndarray, "component h w"]
-    """Orthonormal."""
+    """Orthonormal components."""
     coefficients: Float[np.ndarray, "template component"]
-    """Each template's share of each component."""
+    """Coefficient of each component in each template."""
     residual: Float[np.ndarray, " template"]
     """Norm of what the components leave of each template."""
 
 
 def factors(unit: Float[np.ndarray, "template h w"], rank: int) -> Factors:
-    """`unit` templates (template, h, w) by `rank` components, or fewer where they are of lower rank.
+    """Factor unit templates into `rank` components, or fewer if there are fewer templates or pixels than that.
 
-    Raises SonarjaxError for a rank below 1.
+    Args:
+        unit: Templates (template, h, w) of norm 1.
+        rank: Number of components.
+
+    Raises:
+        SonarjaxError: `rank` is below 1.
     """
     if rank < 1:
         raise SonarjaxError(f"rank: expected 1 or more components, got {rank}")
     flat = unit.reshape(len(unit), -1)
     basis = _leading(flat, min(rank, *flat.shape))
     coefficients = flat @ basis.T
-    # No template is taken out of the large array as a whole: its part in the components is orthogonal to the rest.
+    # The residual's norm follows from Pythagoras, as the components are orthonormal. This avoids another large array.
     left = np.einsum("ij,ij->i", flat, flat) - np.einsum("ij,ij->i", coefficients, coefficients)
     return Factors(basis.reshape(-1, *unit.shape[1:]), coefficients, np.sqrt(np.maximum(left, 0)))
 
@@ -88,10 +101,16 @@ def _leading(unit: np.ndarray, rank: int) -> np.ndarray:
 
 
 def match_low_rank(image: Float[AnyArray, "range beam"], low_rank: LowRankBank) -> MatchPositions:
-    """Approximate scores (template,) of eq. 4 of `image` (range, beam), and the corner of each one's best window.
+    """Approximate eq. 4 for all templates on `image` (range, beam).
 
-    A score is off by at most the template's `residual`, by Cauchy and Schwarz: a window has norm 1 in eq. 4.
-    Raises SonarjaxError where shapes do not fit.
+    The error of a score is at most the template's `residual`. This follows from the Cauchy-Schwarz inequality, because
+    windows have norm 1 in eq. 4.
+
+    Returns:
+        The best score (template,) of each template, and the corner of its best window.
+
+    Raises:
+        SonarjaxError: The shapes do not fit.
     """
     image = jnp.asarray(image, jnp.float32)
     check_shapes(low_rank.components.templates.shape, image.shape)
@@ -106,7 +125,12 @@ def _match(image: Array, low_rank: LowRankBank) -> MatchPositions:
 def combined(
     maps: Float[Array, "component row col"], coefficients: Float[Array, "template component"]
 ) -> MatchPositions:
-    """The best window of each template, whose map combines the components' `maps` (component, row, col)."""
+    """Find the best window of each template.
+
+    Args:
+        maps: Correlation maps of the components (component, row, col).
+        coefficients: Coefficients (template, component) that combine these maps into those of the templates.
+    """
     count, (rows, columns) = coefficients.shape[0], maps.shape[1:]
     chunks = -(-count // CHUNK)
     padded = jnp.pad(coefficients, ((0, chunks * CHUNK - count), (0, 0))).reshape(chunks, CHUNK, -1)
@@ -123,10 +147,21 @@ def combined(
 
 
 def scores_at(image: Float[AnyArray, "range beam"], bank: Any, places: MatchPositions) -> Float[Array, "template"]:
-    """Eq. 4 itself of each template of `bank` (template, h, w) in its own window of `image` (range, beam).
+    """Compute eq. 4 exactly for each template, in one given window of the frame.
 
-    After `match_low_rank`: a template's largest score (template,) is no less than this, and no more than what was found
-    plus the template's `residual`. Raises SonarjaxError where shapes do not fit.
+    To be used after `match_low_rank`. A template's true highest score lies between this score and the approximate score
+    plus the template's `residual`.
+
+    Args:
+        image: The frame (range, beam).
+        bank: A bank with `.templates` (template, h, w), or such an array.
+        places: The window of each template, as `match_low_rank` returns them.
+
+    Returns:
+        The scores (template,).
+
+    Raises:
+        SonarjaxError: The shapes do not fit.
     """
     image, templates = jnp.asarray(image, jnp.float32), jnp.asarray(getattr(bank, "templates", bank), jnp.float32)
     check_shapes(templates.shape, image.shape)

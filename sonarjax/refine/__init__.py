@@ -1,4 +1,4 @@
-"""Continuous pose: objective, solver, error bars and implicit derivative (beyond the paper)."""
+"""Refine the pose continuously: objective, solver, error bars and implicit derivative (not in the paper)."""
 
 from sonarjax.refine.candidates import COMPARISON, Look, apart, compared, look_closely, plan_shared, quick_evidence
 from sonarjax.refine.config import RefineConfig

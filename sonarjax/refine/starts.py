@@ -1,4 +1,4 @@
-"""From a match to a refined pose and the evidence for it: on the segmenter's map first, then on the frame itself."""
+"""Refine a match to a pose and gather the evidence for it: first on the segmenter's map, then on the frame itself."""
 
 from __future__ import annotations
 
@@ -22,14 +22,15 @@ MAP_REFINEMENT = RefineConfig(
     bounds=(math.radians(10.0), 0.06, 0.06), blurs=(2.0, 0.8), polish=0, margin=(MARGIN_BINS, MARGIN_BEAMS),
     sharpness=0.0,
 )  # fmt: skip
-"""How a match is refined on the segmenter's map: bounds of a bin of yaw [rad] and some pixels of x and y [m].
+"""How a match is refined on the segmenter's map, within one bin of yaw [rad] and a few pixels of x and y [m].
 
-Refining starts at a match, so no blur has to widen the basin: a coarse one follows the uneven floor of a grey frame.
-What a threshold makes of speckle is no label image: a plain template (sharpness 0) does best for it."""
+Refinement starts close to the solution, so it needs no coarse blur to widen the basin of convergence. With a coarse
+blur, it would follow the uneven floor of a grey frame. A plain template (sharpness 0) works best, because a threshold
+applied to speckle does not give a clean label image."""
 FRAME_BLURS = (1.0, 0.5)
-"""Blurs [range bins] of the refinement on the frame itself, which goes on from the map's."""
+"""Blurs [range bins] of the refinement on the frame itself, which starts from the result on the map."""
 FRAME_ITERATIONS = 3
-"""Renders at each of these blurs, at most."""
+"""Largest number of renders at each of these blurs."""
 
 
 class Candidate(NamedTuple):
@@ -38,7 +39,7 @@ class Candidate(NamedTuple):
     search: TargetSearch
     """The target."""
     match: Match
-    """Its best bank."""
+    """Its best match: the bank with the highest score, and the scores of that bank."""
     x: float
     """Forward position at which it matched [m]."""
     y: float
@@ -46,34 +47,37 @@ class Candidate(NamedTuple):
 
     @property
     def score(self) -> float:
-        """Eq. 5's maximum over the bank."""
+        """The highest score over the bank (eq. 5)."""
         return float(self.match.scores.max())
 
     @property
     def yaws(self) -> np.ndarray:
-        """Absolute yaw (yaw,) of each bin [rad]: a bank's aspect is relative to the bearing it was rendered at."""
+        """Absolute yaw (yaw,) of each bin [rad].
+
+        A bank's yaws hold for the bearing at which it was rendered; the difference in bearing is added to them.
+        """
         bank = self.match.bank
         turned = math.atan2(self.y, self.x) - math.atan2(float(bank.y), float(bank.x))
         return np.asarray(bank.yaws) + turned
 
     def between_bins(self, k: int) -> Pose:
-        """The pose at bin `k`, its yaw moved to where a parabola through the neighbouring scores peaks."""
+        """The pose at bin `k`, with the yaw at the peak of a parabola through the scores of the bin and its neighbours."""
         scores = self.match.scores
         yaw = float(self.yaws[k]) + between_bins(scores, k) * (2 * math.pi / len(scores))
         return Pose(x=self.x, y=self.y, yaw=yaw)
 
 
 class Start(NamedTuple):
-    """Where refinement starts."""
+    """A starting point for refinement."""
 
     candidate: Candidate
-    """What was matched."""
+    """The match it comes from."""
     bin: int
-    """The yaw bin."""
+    """Number of the yaw bin."""
     picture: np.ndarray
-    """The map or the frame (range, beam) that it was matched in."""
+    """The map or frame (range, beam) in which the target was matched."""
     pose: Pose | None = None
-    """Where it starts, if not at the bin."""
+    """The pose to start from; None to start at the yaw bin."""
 
     @property
     def begin(self) -> Pose:
@@ -82,9 +86,16 @@ class Start(NamedTuple):
 
 
 def locate(search: TargetSearch, picture: np.ndarray, mask: np.ndarray | None, near: int | None = None) -> Candidate:
-    """The target's best match in a map or a frame (range, beam), `near` a distance of that number where it is known.
+    """Find the target's best match in a map or a frame.
 
-    Raises SonarjaxError as `TargetSearch.find` does.
+    Args:
+        search: The target.
+        picture: The map or frame (range, beam).
+        mask: Which pixels were measured; None for all.
+        near: Index of the distance near which to search; None to search all distances.
+
+    Raises:
+        SonarjaxError: As `TargetSearch.find`.
     """
     picture = np.asarray(picture, np.float32)
     match = search.find(picture, mask) if near is None else search.find_near(near, picture, mask)
@@ -94,9 +105,14 @@ def locate(search: TargetSearch, picture: np.ndarray, mask: np.ndarray | None, n
 def make_starts(
     in_map: Candidate, in_frame: Candidate | None, seen: np.ndarray, image: np.ndarray, count: int
 ) -> list[Start]:
-    """Up to `count` peaks over yaw of the match in the map `seen`, then the best of that in the frame `image`, if any.
+    """List the starts for refinement: the best yaws in the map, then the best yaw in the frame.
 
-    Both pictures are (range, beam).
+    Args:
+        in_map: The match in the map.
+        in_frame: The match in the frame, if there is one.
+        seen: The map (range, beam).
+        image: The frame (range, beam).
+        count: Largest number of starts from the map; each is a peak of its scores over yaw.
     """
     starts = [Start(in_map, k, seen) for k in peak_bins(in_map.match.scores, in_map.yaws, count)]
     if in_frame is not None:
@@ -108,9 +124,19 @@ def refine_start(
     start: Start, image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None, config: RefineConfig,
     window: WindowSize | None, engine: Engine,
 ) -> tuple[YawEstimate, Pose, Evidence]:  # fmt: skip
-    """A start refined where it was found, then on the frame `image` (range, beam), whose map is `seen`.
+    """Refine a start in the picture in which it was found, then on the frame itself.
 
-    With the pose that is kept, and what speaks for it. `window` is large enough for the start.
+    Args:
+        start: The start.
+        image: The frame (range, beam).
+        seen: The frame's semantic map (range, beam).
+        mask: Which pixels were measured; None for all.
+        config: How to refine on the first picture; `on_frame` derives the second refinement from it.
+        window: Size of the window, large enough for the start.
+        engine: What runs the refinement.
+
+    Returns:
+        The estimate on the frame, the pose to use (see `kept_pose`) and the evidence for the target.
     """
     search, found = start.candidate.search, start.begin
     how: dict[str, Any] = {"mask": mask, "window": window, "engine": engine}
@@ -120,19 +146,19 @@ def refine_start(
 
 
 def peak_bins(scores: np.ndarray, yaws: np.ndarray, count: int) -> list[int]:
-    """Bins of the highest peaks of `scores` (yaw,) over `yaws` (yaw,) [rad], best first; at least one."""
+    """Bins of up to `count` highest peaks of `scores` (yaw,) over `yaws` (yaw,) [rad], best first; at least one."""
     found = peaks(scores, yaws, max_peaks=count)
     return [int(k) for k, valid in zip(np.asarray(found.yaw_bin), np.asarray(found.valid), strict=True) if valid]
 
 
 def on_frame(config: RefineConfig) -> RefineConfig:
-    """The config of the refinement on the frame itself that follows one on the map."""
+    """Derive the config for refinement on the frame itself from `config`, that of the refinement on the map."""
     blurs, iterations = FRAME_BLURS[-len(config.blurs) :], min(FRAME_ITERATIONS, config.iterations)
     return replace(config, blurs=blurs, iterations=iterations, template="either")
 
 
 def evidence_of(drawn: Drawn, image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None, engine: Engine) -> Evidence:
-    """What speaks for a template in its window of the frame."""
+    """Gather the evidence for a drawn template in its window of the frame."""
     rows, columns = np.shape(drawn.template)
     top, left = int(drawn.row), int(drawn.column)
     whole = np.ones(image.shape, np.float32) if mask is None else mask.astype(np.float32)
@@ -141,18 +167,22 @@ def evidence_of(drawn: Drawn, image: np.ndarray, seen: np.ndarray, mask: np.ndar
 
 
 def curve_evidence(in_map: Candidate, in_frame: Candidate | None) -> dict[str, float]:
-    """What the scores over yaw tell, those of the map and those of the frame: their peak, and how far it stands out."""
+    """Evidence from the scores over yaw: how far the peak stands out in the map and in the frame, and its height there.
+
+    `map_rise` and `frame_rise` are the highest score minus the fourth highest. `frame_peak` is the highest score in the
+    frame. Without a match in the frame, that in the map is used instead.
+    """
     curves = in_map.match.scores, (in_map if in_frame is None else in_frame).match.scores
     rises = [float(ordered[-1] - ordered[-4]) for ordered in map(np.sort, curves)]
     return {"map_rise": rises[0], "frame_rise": rises[1], "frame_peak": float(curves[1].max())}
 
 
 def is_kept(estimate: YawEstimate) -> Any:
-    """True where refinement settled, or fits better than its start did."""
+    """True where refinement converged, or where its result scores higher than its start."""
     return np.asarray(estimate.converged) | np.asarray(estimate.score > estimate.start_score)
 
 
 def kept_pose(estimate: YawEstimate, start: Pose) -> Pose:
-    """The refined poses; the start where the refined one is not kept."""
+    """The refined poses, or `start` where the refined pose is not kept (see `is_kept`)."""
     pairs = ((estimate.x, start.x), (estimate.y, start.y), (estimate.yaw, start.yaw))
     return Pose(*(np.where(is_kept(estimate), np.asarray(new), np.asarray(old)) for new, old in pairs))

@@ -1,4 +1,4 @@
-"""Meshes far finer than the sonar can tell: each triangle costs time in every view, and the frame shows none of it."""
+"""Reduce meshes that are much finer than the sonar resolves: triangles cost render time but do not change the frame."""
 
 from __future__ import annotations
 
@@ -9,16 +9,17 @@ from sonarjax.scene.reduce import real_arrays
 from sonarjax.sonar import Sonar
 
 MANY = 5_000
-"""Meshes of no more triangles than this stay as they are: there is little to be gained."""
+"""Meshes of up to this many triangles are not reduced, because there is little to gain."""
 SHARE = 0.125
-"""How far a surface may be off, as a share of what the sonar resolves; `experiments/bench_mesh.py` counts labels that
-change."""
+"""How far a surface may move, as a share of the sonar's resolution. `experiments/bench_mesh.py` counts how many labels
+this changes."""
 
 
 def mesh_tolerance(sonar: Sonar) -> float:
-    """How far [m] a surface may be off without showing: `SHARE` of a range bin, or of a beam's width if that is less.
+    """Distance [m] by which a surface may move without a visible effect in the frame.
 
-    The width is that of the narrowest beam at the nearest range, where it is least.
+    This is `SHARE` of the length of a range bin or of a beam's width, whichever is smaller. The width is taken for the
+    narrowest beam at the nearest range, where it is smallest.
     """
     spacing = np.diff(np.asarray(sonar.azimuth, np.float64), axis=-1).min() if sonar.n_beams > 1 else np.inf
     across = spacing * float(np.min(np.asarray(sonar.range_min)))
@@ -27,10 +28,17 @@ def mesh_tolerance(sonar: Sonar) -> float:
 
 
 def reduced_for(mesh: Mesh, sonar: Sonar, tolerance: float | None = None) -> Reduction:
-    """`reduce_mesh` to a `tolerance` [m], by default what the sonar cannot tell, if the mesh has many triangles.
+    """Reduce a mesh that has more triangles than the sonar can resolve.
 
-    The mesh is given back as it was where it has no more than `MANY`, or would keep more than half of them. A tolerance
-    of 0 reduces nothing. Raises SonarjaxError as `reduce_mesh` does.
+    The mesh is returned unchanged if it has at most `MANY` triangles, or if more than half of them would remain.
+
+    Args:
+        mesh: The mesh.
+        sonar: The sonar.
+        tolerance: Tolerance for `reduce_mesh` [m]; by default `mesh_tolerance` of the sonar. With 0, nothing is reduced.
+
+    Raises:
+        SonarjaxError: As `reduce_mesh`.
     """
     tolerance = mesh_tolerance(sonar) if tolerance is None else tolerance
     count = len(real_arrays(mesh)[1]) if mesh.vertices.ndim == 2 else 0

@@ -1,7 +1,8 @@
-"""Fewer triangles for the same surface: a scan has far more than a sonar can tell, and each costs time in every view.
+"""Reduce the number of triangles of a mesh: a scan has far more than a sonar resolves, and each costs render time.
 
-Edges are collapsed by quadric error (Garland and Heckbert, 1997; the library `fast-simplification`). That error is no
-distance, so the distance between the surfaces is measured afterwards, both ways, and decides how far to go.
+Edges are collapsed in the order of their quadric error (Garland and Heckbert, 1997) with the library
+`fast-simplification`. The quadric error is not a distance. Therefore the distance between the two surfaces is measured
+afterwards, in both directions, and decides how many triangles can be removed.
 """
 
 from __future__ import annotations
@@ -19,50 +20,50 @@ from sonarjax.io.errors import SonarjaxError
 from sonarjax.scene.mesh import Mesh
 
 FEWEST = 256
-"""No mesh is reduced to fewer triangles: there is nothing to gain."""
+"""Meshes are not reduced below this number of triangles, because there is nothing to gain."""
 STEP = 2.0**0.25
-"""Numbers of triangles that are told apart, as a ratio."""
+"""Ratio between neighbouring triangle counts in the search for the smallest one."""
 AGGRESSIVENESS = 3.0
-"""Of `fast_simplification`: its default of 7 is faster, and its surfaces are twice as far off at 5,000 triangles."""
+"""Argument `agg` of `fast_simplification`. Its default of 7 is faster, but at 5,000 triangles doubles the distance."""
 FIRST_CUT = 60_000
-"""Larger meshes are brought down to so many triangles once, and reduced from there."""
+"""Meshes of more than twice this number of triangles are first reduced to it, once; the search starts from there."""
 SAMPLES = 20_000
-"""Points on each surface from which the distance to the other is taken."""
+"""Number of points on each surface from which the distance to the other surface is measured."""
 NEIGHBOURS = 6
-"""Triangles that are tried for each point: those of the nearest of the points that are spread over the surface."""
+"""Number of nearest sample points on the other surface whose triangles are tried when a point's distance is measured."""
 USUAL, FARTHEST = 0.99, 4.0
-"""The tolerance holds for this share of the surface; no point may be farther off than this many tolerances."""
+"""The share of the surface that must be within the tolerance, and the limit for all points, in tolerances."""
 
 
 @dataclass(frozen=True)
 class SurfaceDistance:
-    """How far two surfaces lie apart [m]: from points spread over each to the other surface, the worse of both ways."""
+    """Distance between two surfaces [m]: from points spread over each to the other; the larger of both directions."""
 
     rms: float
     """Root mean square [m]."""
     usual: float
-    """What 99 % of the points stay within [m]."""
+    """Distance that 99 % of the points do not exceed [m]."""
     largest: float
-    """The largest of all, a sampled Hausdorff distance [m]."""
+    """Largest distance of any point, a sampled Hausdorff distance [m]."""
 
 
 @dataclass(frozen=True)
 class Reduction:
-    """A mesh with fewer triangles, and how far it is from the one it was made from."""
+    """A mesh with fewer triangles, and its distance from the original mesh."""
 
     mesh: Mesh
-    """The reduced mesh; the given one where nothing was to be gained."""
+    """The reduced mesh, or the original if it was not reduced."""
     before: int
-    """Triangles of the mesh that was given."""
+    """Number of triangles of the original mesh."""
     after: int
-    """Triangles of the reduced one."""
+    """Number of triangles of the resulting mesh."""
     tolerance: float
-    """What was asked for [m]: see `reduce_mesh`."""
+    """The requested tolerance [m]: see `reduce_mesh`."""
     error: SurfaceDistance
-    """What was measured; zeros where the mesh is as it was."""
+    """The measured distance between the two meshes; zeros if the mesh was not reduced."""
 
     def __str__(self) -> str:
-        """One line for a log."""
+        """Summary in one line, for a log."""
         if self.after == self.before:
             return f"{self.before} triangles, kept as they are: few can go within {self.tolerance:.2g} m"
         return (
@@ -72,11 +73,18 @@ class Reduction:
 
 
 def reduce_mesh(mesh: Mesh, tolerance: float) -> Reduction:
-    """The mesh with as few triangles as keep 99 % of its surface within `tolerance` [m], all within four times that.
+    """Reduce a mesh to as few triangles as a tolerance allows.
 
-    Measured both ways between the surfaces (`surface_distance`), so that neither a lost part nor a bridged hole passes.
-    Raises SonarjaxError unless `tolerance` is a positive number, for a batch, and for a mesh with reflectivities: which
-    triangle of the new mesh would have which is not known.
+    The distance is measured in both directions between the surfaces (`surface_distance`), so that both a lost part and
+    a closed hole are noticed.
+
+    Args:
+        mesh: A single mesh without reflectivities.
+        tolerance: Largest distance [m] for 99 % of the surface; the rest must be within four times this distance.
+
+    Raises:
+        SonarjaxError: `tolerance` is not a positive number, `mesh` is a batch, or its triangles have reflectivities
+            (it is not known which reflectivity a new triangle should get).
     """
     if not 0 < tolerance < math.inf:
         raise SonarjaxError(f"tolerance: expected a positive number of metres, got {tolerance}")
@@ -89,7 +97,7 @@ def reduce_mesh(mesh: Mesh, tolerance: float) -> Reduction:
     source = _collapsed(*full, FIRST_CUT) if before > 2 * FIRST_CUT else full
     surface = _Surface(*full)
     best, error = full, SurfaceDistance(0.0, 0.0, 0.0)
-    # The error grows as triangles go: halve the range of counts, in even steps of their logarithm.
+    # The error grows as triangles are removed, so bisect over the logarithm of their number, in steps of STEP.
     passes, fails = 0, 1 + math.ceil(math.log(max(len(source[1]) / FEWEST, 1.0), STEP))
     while fails - passes > 1:
         middle = (passes + fails) // 2
@@ -105,12 +113,12 @@ def reduce_mesh(mesh: Mesh, tolerance: float) -> Reduction:
 
 
 def surface_distance(first: Mesh, second: Mesh) -> SurfaceDistance:
-    """How far two surfaces lie apart, from the same points every time."""
+    """Measure the distance between two surfaces. The sample points are the same in every call."""
     return _Surface(*real_arrays(first)).distance(_Surface(*real_arrays(second)))
 
 
 def real_arrays(mesh: Mesh) -> tuple[Float[np.ndarray, "vertex 3"], Int[np.ndarray, "face 3"]]:
-    """Vertices (vertex, 3) [m] and triangles (face, 3) of a mesh without its padding."""
+    """Vertices (vertex, 3) [m] and triangles (face, 3) of a mesh, without the triangles that only pad its arrays."""
     faces = np.asarray(mesh.faces)
     return np.asarray(mesh.vertices, np.float64), faces[faces[:, 0] != faces[:, 1]]
 
@@ -125,20 +133,20 @@ def _collapsed(vertices: np.ndarray, faces: np.ndarray, count: int) -> tuple[np.
 
 
 class _Surface:
-    """Points spread evenly over a surface, and the distance of other points from it."""
+    """A surface with points spread evenly over it, to measure the distance of other points from it."""
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray) -> None:
-        """Vertices (vertex, 3) [m] and triangles (face, 3)."""
+        """Prepare the surface of vertices (vertex, 3) [m] and triangles (face, 3)."""
         surface = trimesh.Trimesh(vertices, faces, process=False, validate=False)
         self._corners = surface.triangles
         self.points, _ = trimesh.sample.sample_surface(surface, SAMPLES, seed=0)
         dense, owner = trimesh.sample.sample_surface(surface, 5 * SAMPLES, seed=1)
-        # The middle of every triangle as well, for the small ones that no point has hit.
+        # Add the centre of every triangle, so that small triangles without a sample point are found too.
         self._owner = np.concatenate([owner, np.arange(len(faces))])
         self._tree = cKDTree(np.concatenate([dense, self._corners.mean(axis=1)]))
 
     def distance(self, other: _Surface) -> SurfaceDistance:
-        """The worse of both ways."""
+        """The distance between two surfaces; each number is the larger one of both directions."""
         ways = [self._from(other.points), other._from(self.points)]
         return SurfaceDistance(
             max(float(np.sqrt((way**2).mean())) for way in ways),
@@ -147,7 +155,10 @@ class _Surface:
         )
 
     def _from(self, points: np.ndarray) -> np.ndarray:
-        """Distance [m] of points (point, 3): exact to the triangles near it, so never less than the true one."""
+        """Distance [m] of points (point, 3) from the surface, never less than the true distance.
+
+        It is exact for the triangles that are tried, but a nearer triangle may have been missed.
+        """
         near = self._owner[self._tree.query(points, k=NEIGHBOURS)[1]]  # (point, neighbour)
         repeated = np.repeat(points, NEIGHBOURS, axis=0)
         closest = trimesh.triangles.closest_point(self._corners[near.ravel()], repeated)
