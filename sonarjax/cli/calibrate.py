@@ -1,4 +1,4 @@
-"""`sonarjax calibrate`: the sonar's geometry from frames of a known object."""
+"""`sonarjax calibrate`: fit the sonar's geometry to frames of a known object."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from sonarjax.io import check_outputs, complain, naming, say
 
 
 def add(commands: Any) -> None:
-    """Add the command's arguments to the parser's `commands`."""
+    """Add this command and its arguments to `commands`, the subparsers of the command line."""
     command = commands.add_parser("calibrate", help="the sonar's geometry from frames of a known object", epilog=EXITS)
     command.set_defaults(run=run)
     command.add_argument("frames", metavar="FRAME", nargs="+", help=FRAME_HELP)
@@ -31,7 +31,11 @@ def add(commands: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the command; returns its exit code. Raises SonarjaxError for input that cannot be used."""
+    """Run the command and return its exit code.
+
+    Raises:
+        SonarjaxError: The input cannot be used.
+    """
     check_outputs({"--out": args.out, "--png": args.png}, (*args.frames, args.target, args.sonar))
     start_jax()
     from sonarjax.calibrate import calibrate, check_free, compare_templates, describe_calibration

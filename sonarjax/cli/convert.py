@@ -1,4 +1,4 @@
-"""`sonarjax convert`: a fan picture as a polar frame, and back; recordings as ROS bags."""
+"""`sonarjax convert`: convert a fan picture to a polar frame or back, and frames and recordings to ROS bags."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from sonarjax.io import FAN_OPTIONS, FanOptions, SonarjaxError, check_outputs, c
 
 
 def add(commands: Any) -> None:
-    """Add the command's arguments to the parser's `commands`."""
+    """Add this command and its arguments to `commands`, the subparsers of the command line."""
     command = commands.add_parser(
         "convert", help="a fan picture as a polar frame, and back; frames and recordings as a ROS bag", epilog=EXITS
     )
@@ -31,7 +31,11 @@ def add(commands: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the command; returns its exit code. Raises SonarjaxError for input that cannot be used."""
+    """Run the command and return its exit code.
+
+    Raises:
+        SonarjaxError: The input cannot be used.
+    """
     check_outputs({"--out": args.out}, args.files)
     options = FanOptions(**{name: getattr(args, name) for name in FanOptions.__dataclass_fields__})
     if args.out.lower().endswith((".bag", ".mcap")):

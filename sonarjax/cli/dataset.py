@@ -1,4 +1,4 @@
-"""`sonarjax dataset`: simulated frames with labels, instance masks, boxes and poses, in formats of other tools."""
+"""`sonarjax dataset`: simulate frames with labels, instance masks, boxes and poses, in common data set formats."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from sonarjax.io import say
 
 
 def add(commands: Any) -> None:
-    """Add the command's arguments to the parser's `commands`."""
+    """Add this command and its arguments to `commands`, the subparsers of the command line."""
     command = commands.add_parser(
         "dataset", help="simulated frames with masks, boxes and poses",
         epilog="the same command goes on where a run was cut off; exit codes: 0 done; 2 input that cannot be used",
@@ -59,7 +59,11 @@ def _shard(text: str) -> tuple[int, int]:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the command; returns its exit code. Raises SonarjaxError for input that cannot be used."""
+    """Run the command and return its exit code.
+
+    Raises:
+        SonarjaxError: The input cannot be used.
+    """
     start_jax()
     import jax
     from tqdm import tqdm

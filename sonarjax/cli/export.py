@@ -1,4 +1,4 @@
-"""`sonarjax export`: the segmenter's network as an ONNX file."""
+"""`sonarjax export`: write the segmenter's network to an ONNX file."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from sonarjax.segment import DEFAULT_SEGMENTER
 
 
 def add(commands: Any) -> None:
-    """Add the command's arguments to the parser's `commands`."""
+    """Add this command and its arguments to `commands`, the subparsers of the command line."""
     command = commands.add_parser("export", help="the segmenter's network as an ONNX file", epilog=EXITS)
     command.set_defaults(run=run)
     command.add_argument(
@@ -26,7 +26,11 @@ def add(commands: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the command; returns its exit code. Raises SonarjaxError for input that cannot be used."""
+    """Run the command and return its exit code.
+
+    Raises:
+        SonarjaxError: The input cannot be used.
+    """
     check_outputs({"--onnx": args.onnx}, (args.segmenter,))
     start_jax()
     from sonarjax.segment import export_onnx, load_segmenter

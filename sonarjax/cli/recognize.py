@@ -1,4 +1,4 @@
-"""`sonarjax recognize`: is the target in these frames, or which of several is it, and at which yaw?"""
+"""`sonarjax recognize`: decide whether frames show the target, or which of several targets, and at which yaw."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from sonarjax.segment import DEFAULT_SEGMENTER, SEGMENTERS
 
 
 def add(commands: Any) -> None:
-    """Add the command's arguments to the parser's `commands`."""
+    """Add this command and its arguments to `commands`, the subparsers of the command line."""
     command = commands.add_parser("recognize", help="is the target in these frames, and at which yaw?", epilog=EXITS)
     command.set_defaults(run=run)
     command.add_argument("frames", metavar="FRAME", nargs="+", help=FRAME_HELP)
@@ -51,7 +51,11 @@ def add(commands: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the command; returns its exit code. Raises SonarjaxError for input that cannot be used."""
+    """Run the command and return its exit code.
+
+    Raises:
+        SonarjaxError: The input cannot be used.
+    """
     files = mesh_files(args.target, "--target")
     check_outputs({"--out": args.out}, (*args.frames, *files.values(), args.sonar))
     if args.track and len(files) > 1:
@@ -69,9 +73,11 @@ def run(args: argparse.Namespace) -> int:
     check_segmenter(args.segmenter)
     sonar = Sonar.from_toml(args.sonar)
     meshes = {name: load_mesh(file, sonar, args) for name, file in files.items()}
-    targets = meshes if len(meshes) > 1 else next(iter(meshes.values()))  # a single one is called `target`
+    targets = (
+        meshes if len(meshes) > 1 else next(iter(meshes.values()))
+    )  # a single mesh without a name is called `target`
     refine = None if args.no_refine else MAP_REFINEMENT
-    try:  # a sonar that sees no floor, or too much, is refused before any frame is read
+    try:  # before any frame is read, refuse a sonar that sees no floor or too much of it
         recognizer = Recognizer(targets, sonar, segmenter=args.segmenter, refine=refine, engine=CpuEngine())
     except SonarjaxError as error:
         raise SonarjaxError(naming(args.sonar, error)) from error
@@ -102,7 +108,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _write(path: str, records: Iterator[dict[str, Any]]) -> int:
-    """Append the records as they come; the exit code."""
+    """Append each record to the file at once, report errors, and return the exit code: 1 if any frame failed."""
     code = 0
     with JsonLines(path) as lines:
         for record in records:
@@ -114,7 +120,13 @@ def _write(path: str, records: Iterator[dict[str, Any]]) -> int:
 
 
 def _record(name: str, frame: Lazy, recognized: Callable[[Lazy, Lazy], tuple[Lazy, Lazy]]) -> dict[str, Any]:
-    """What is found in a frame of io.Frame, or what is wrong with it: an exception in place of a frame is that."""
+    """Make the record of a frame: the result, or the error if it cannot be read or recognized.
+
+    Args:
+        name: Name of the frame, for an error's record.
+        frame: An `io.Frame`, or the exception that reading it raised.
+        recognized: Takes image and mask; returns the result, and the track's state or None.
+    """
     try:
         if isinstance(frame, Exception):
             raise frame
@@ -123,30 +135,36 @@ def _record(name: str, frame: Lazy, recognized: Callable[[Lazy, Lazy], tuple[Laz
         return record_of(found, frame.source, time.perf_counter() - started, tracked)
     except BrokenPipeError:
         raise
-    except Exception as error:  # whatever one frame does to us, the others are still to be recognized
+    except Exception as error:  # any failure with one frame must not keep the others from being recognized
         return {"frame": name, "error": naming(name, error), "schema": SCHEMA}
 
 
 @dataclass(frozen=True)
 class Work:
-    """What workers look for; two are equal that have the same `token`."""
+    """What the workers of a cluster need to recognize frames. Two are equal if their `token` is."""
 
     token: str
-    """Of one run of the command."""
+    """Identifies one run of the command."""
     targets: Lazy = field(compare=False)
-    """As `Recognizer` takes them."""
+    """The targets, in the form that `Recognizer` takes."""
     sonar: Lazy = field(compare=False)
     """The sonar."""
     segmenter: str = field(compare=False)
     """Name of the segmenter."""
     refine: Lazy = field(compare=False)
-    """A RefineConfig, or None."""
+    """A RefineConfig, or None to stop at the yaw bin."""
     threshold: float | None = field(compare=False)
-    """Score from which on it is the target; None for the shipped one."""
+    """Score from which on the target counts as shown; None for the shipped threshold."""
 
 
 def recognize_on_worker(work: Work, named: tuple[str, Lazy], engine: Lazy) -> dict[str, Any]:
-    """On a worker of a cluster: the record of a frame with its name, as `each_frame` gives them."""
+    """Make the record of a frame on a worker of a cluster.
+
+    Args:
+        work: What to recognize, and how.
+        named: Name and frame, as `each_frame` yields them.
+        engine: The worker's engine.
+    """
     recognizer = _own_recognizer(work, engine)
     return _record(*named, lambda image, mask: (recognizer(image, mask, threshold=work.threshold), None))
 

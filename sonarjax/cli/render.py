@@ -16,7 +16,7 @@ MAX_SUB_BEAMS = 64
 
 
 def add(commands: Any) -> None:
-    """Add the command's arguments to the parser's `commands`."""
+    """Add this command and its arguments to `commands`, the subparsers of the command line."""
     command = commands.add_parser("render", help="simulate the frame of a mesh", epilog=EXITS)
     command.set_defaults(run=run)
     command.add_argument("mesh", metavar="MESH", help="surface in any format that trimesh reads (STL, OBJ, PLY, ...)")
@@ -42,7 +42,11 @@ def add(commands: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the command; returns its exit code. Raises SonarjaxError for input that cannot be used."""
+    """Run the command and return its exit code.
+
+    Raises:
+        SonarjaxError: The input cannot be used.
+    """
     check_outputs({"--out": args.out, "--png": args.png}, (args.mesh, args.sonar))
     start_jax()
     from sonarjax.render import RenderQuality, render, write_frame

@@ -1,4 +1,4 @@
-"""Meshes that the command line names: files, or folders of them, and how they are read."""
+"""Find and load the meshes that are named on the command line, as files or as folders of files."""
 
 from __future__ import annotations
 
@@ -10,15 +10,21 @@ from typing import Any
 from sonarjax.io import SonarjaxError, complain
 
 MESH_ENDINGS = (".stl", ".obj", ".ply", ".off", ".glb", ".gltf", ".3mf")
-"""Endings of the files of a folder that are taken for meshes."""
+"""File name endings of meshes. Other files in a folder are ignored."""
 
 
 def mesh_files(given: Sequence[str], option: str) -> dict[str, str]:
-    """Mesh files by the stem of their names, in the order given; those of a folder in that of their names.
+    """List mesh files by the stems of their names.
 
-    `option` is what gave them, for messages.
+    Args:
+        given: Files, and folders of files. Their order is kept; the files of a folder are sorted by name.
+        option: The command line option that names them, for error messages.
 
-    Raises SonarjaxError for a folder without meshes, or where two files have one stem.
+    Returns:
+        Paths by stem.
+
+    Raises:
+        SonarjaxError: A folder holds no mesh, or two files have the same stem.
     """
     files: dict[str, str] = {}
     for one in given:
@@ -41,11 +47,17 @@ def _of_folder(folder: Path, option: str) -> list[str]:
 
 
 def load_mesh(path: str, sonar: Any, args: argparse.Namespace) -> Any:
-    """The mesh of a file as the options of `add_mesh_options` say; a line on stderr tells what was reduced.
+    """Load a mesh and, if it is much finer than the sonar resolves, reduce it. A line on stderr tells of a reduction.
 
-    Raises SonarjaxError for a mesh that cannot be read, or is too large for the sonar's view.
+    Args:
+        path: The mesh file.
+        sonar: The sonar.
+        args: Parsed arguments, with the options of `add_mesh_options`.
+
+    Raises:
+        SonarjaxError: The mesh cannot be read, or is too large for the sonar's view.
     """
-    from sonarjax.render import check_fits, reduced_for  # JAX is set up by now
+    from sonarjax.render import check_fits, reduced_for  # not at the top of the file: JAX must be set up first
     from sonarjax.scene import Mesh
 
     mesh = Mesh.load(path, args.unit_m)

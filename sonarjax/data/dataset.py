@@ -93,12 +93,12 @@ def make_dataset(
     """Write a data set of simulated frames to a folder, or continue one that was interrupted.
 
     With all else the same, frame k depends only on `key` and k. An interrupted run can therefore be continued, and
-    shards together give the same files as a single run. On CPUs of the same kind, the files are identical byte for byte.
+    shards together give the same files as a single run. On CPUs of the same kind, files are identical byte for byte.
 
     Args:
         meshes: The meshes, by name.
         sonar: The sonar.
-        folder: Where to write; must be missing, empty, or hold a part of the same data set.
+        folder: Where to write; must be missing, empty (but for hidden files), or hold a part of the same data set.
         count: Number of frames in the whole data set.
         key: JAX key from which everything random is drawn.
         format: One of `FORMATS`.
@@ -288,7 +288,7 @@ def _finish(target: Path, plan: Plan, facts: dict[str, Any]) -> None:
         _write_lines(target / "annotations.json", _coco(target, plan))
     if plan.format == "yolo":
         names = "".join(f"  {k}: {json.dumps(name)}\n" for k, name in enumerate(category_names(plan.axes.names)))
-        # `path` is left out: readers take it relative to their working directory, but without it use this file's folder.
+        # `path` is left out: readers resolve it from their working directory, and without it use this file's folder.
         write_text(target / "data.yaml", f"train: images\nval: images\nnames:\n{names}")
     write_text(target / CARD, card_text(facts, summary, plan.axes))
 

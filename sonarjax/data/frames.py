@@ -30,8 +30,8 @@ interrupted run loses all frames of an unfinished chunk."""
 MOST_SCENES = 32
 """Upper limit of `FrameSettings.scenes`, the number of objects in a frame."""
 SENSORS = ("nominal", "drawn", "wide")
-"""Choices of the sensor model: `nominal` is one device for all frames (`SensorModel.nominal`). `drawn` and `wide` draw a
-new device for each frame, with `SensorModel.draw` and `SensorModel.draw_wide`."""
+"""Choices of the sensor model: `nominal` is one device for all frames (`SensorModel.nominal`). `drawn` and `wide` draw
+a new device for each frame, with `SensorModel.draw` and `SensorModel.draw_wide`."""
 ROOMS = (1, 2, 4, 16, 64)
 """Factors by which the capacity for triangles in a slice is multiplied. They are tried in this order until no triangle
 of the frame is left out. Factor 1, the capacity for one object, suffices for most frames, because a slice rarely
@@ -185,7 +185,7 @@ def _draw_frame(
 
 
 def _instances(labels: Array, layers: Any) -> Array:
-    """For each pixel (range, beam), the object with the largest share of its class: 1 for the first, 0 for background."""
+    """Number, from 1 on, of the object with the largest share of each pixel's class (range, beam); 0 for background."""
     highlight, shadow = (jnp.argmax(v, axis=0).astype(jnp.uint8) + 1 for v in (layers.highlight, layers.shadow))
     return jnp.where(labels == 1, highlight, jnp.where(labels == 2, shadow, 0)).astype(jnp.uint8)
 

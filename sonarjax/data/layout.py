@@ -114,13 +114,12 @@ def touched_beams(meshes: Mesh, sonar: Sonar, limits: Limits) -> int | None:
 def draw_layout(meshes: Mesh, sonar: Sonar, limits: Limits, scenes: int, *, key: Array) -> Layout:
     """Draw one to `scenes` objects of `meshes` (mesh, ...) at random places and yaws that do not overlap.
 
-    The number of objects is drawn uniformly. An object is left out if none of `TRIES` places is free for it. Objects are
-    kept apart by the vertical cylinders around their origins, so that they do not overlap at any yaw.
+    The number of objects is drawn uniformly. An object is left out if none of `TRIES` places is free for it. The
+    vertical cylinders around the objects' origins are kept apart, so that objects do not overlap at any yaw.
     """
     many = meshes.vertices.shape[0]
-    numbers = jax.random.uniform(
-        key, (scenes + 1, 2 + 2 * TRIES)
-    )  # in one call, because each separate draw would add compile time
+    # All numbers are drawn in one call, because each separate draw would add compile time.
+    numbers = jax.random.uniform(key, (scenes + 1, 2 + 2 * TRIES))
     wanted = 1 + jnp.floor(scenes * numbers[-1, 0])
     objects: list[tuple[Array, ...]] = []
     for number in range(scenes):

@@ -124,7 +124,7 @@ class FirstLook:
         return self._residual
 
     def prepare(self, progress: Callable[[int, int], None] = lambda done, of: None) -> list[_Shelf]:
-        """Render all banks unless this was done before; `progress` is called with the distances done and their total."""
+        """Render all banks unless already done; `progress` is called with the number of distances done and their total."""
         if self._shelves is None:
             drawn = []
             for k, distance in enumerate(self._distances):
@@ -231,7 +231,7 @@ class FirstLook:
 
 
 def _make_unit(templates: np.ndarray) -> None:
-    """Give templates (template, h, w) mean 0 and norm 1, in place, because a second such array takes too much memory."""
+    """Give templates (template, h, w) mean 0 and norm 1, in place: a second such array would take too much memory."""
     for one in templates:
         one -= one.mean()
         norm = float(np.linalg.norm(one))

@@ -61,7 +61,7 @@ class Candidate(NamedTuple):
         return np.asarray(bank.yaws) + turned
 
     def between_bins(self, k: int) -> Pose:
-        """The pose at bin `k`, with the yaw at the peak of a parabola through the scores of the bin and its neighbours."""
+        """The pose at bin `k`, with the yaw moved to the peak of a parabola through the neighbouring scores."""
         scores = self.match.scores
         yaw = float(self.yaws[k]) + between_bins(scores, k) * (2 * math.pi / len(scores))
         return Pose(x=self.x, y=self.y, yaw=yaw)

@@ -28,14 +28,14 @@ def mesh_tolerance(sonar: Sonar) -> float:
 
 
 def reduced_for(mesh: Mesh, sonar: Sonar, tolerance: float | None = None) -> Reduction:
-    """Reduce a mesh that has more triangles than the sonar can resolve.
+    """Reduce a mesh that has many triangles, by default to the detail that the sonar resolves.
 
     The mesh is returned unchanged if it has at most `MANY` triangles, or if more than half of them would remain.
 
     Args:
         mesh: The mesh.
         sonar: The sonar.
-        tolerance: Tolerance for `reduce_mesh` [m]; by default `mesh_tolerance` of the sonar. With 0, nothing is reduced.
+        tolerance: Tolerance for `reduce_mesh` [m]; by default `mesh_tolerance` of the sonar. 0 reduces nothing.
 
     Raises:
         SonarjaxError: As `reduce_mesh`.

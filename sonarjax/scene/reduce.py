@@ -30,7 +30,7 @@ FIRST_CUT = 60_000
 SAMPLES = 20_000
 """Number of points on each surface from which the distance to the other surface is measured."""
 NEIGHBOURS = 6
-"""Number of nearest sample points on the other surface whose triangles are tried when a point's distance is measured."""
+"""Number of sample points of the other surface, nearest to a point, whose triangles are tried for its distance."""
 USUAL, FARTHEST = 0.99, 4.0
 """The share of the surface that must be within the tolerance, and the limit for all points, in tolerances."""
 
