@@ -90,7 +90,7 @@ def describe_objects(item: Item, axes: Axes) -> list[dict[str, Any]]:
 
 
 def short(value: float) -> float:
-    """Round a float32 value to 7 significant digits, so that it is short when written in JSON."""
+    """Round a float32 value to 7 significant digits, about its precision, so that it is short when written in JSON."""
     return float(f"{value:.7g}")
 
 

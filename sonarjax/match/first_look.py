@@ -124,7 +124,7 @@ class FirstLook:
         return self._residual
 
     def prepare(self, progress: Callable[[int, int], None] = lambda done, of: None) -> list[_Shelf]:
-        """Render all banks unless already done; `progress` is called with the number of distances done and their total."""
+        """Render all banks unless already done; `progress` is told how many distances are done, and their total."""
         if self._shelves is None:
             drawn = []
             for k, distance in enumerate(self._distances):
