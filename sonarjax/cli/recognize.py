@@ -73,9 +73,8 @@ def run(args: argparse.Namespace) -> int:
     check_segmenter(args.segmenter)
     sonar = Sonar.from_toml(args.sonar)
     meshes = {name: load_mesh(file, sonar, args) for name, file in files.items()}
-    targets = (
-        meshes if len(meshes) > 1 else next(iter(meshes.values()))
-    )  # a single mesh without a name is called `target`
+    # A single mesh is passed without its name; results then call it `target`.
+    targets = meshes if len(meshes) > 1 else next(iter(meshes.values()))
     refine = None if args.no_refine else MAP_REFINEMENT
     try:  # before any frame is read, refuse a sonar that sees no floor or too much of it
         recognizer = Recognizer(targets, sonar, segmenter=args.segmenter, refine=refine, engine=CpuEngine())

@@ -97,9 +97,8 @@ def touched_beams(meshes: Mesh, sonar: Sonar, limits: Limits) -> int | None:
     slant, azimuth = np.meshgrid(np.linspace(*limits[:2], 9), np.linspace(*limits[2:], 9))
     x, y = (np.asarray(v)[..., None, None] for v in floor_point(slant, azimuth, sonar))
     around = np.linspace(0, 2 * math.pi, AROUND)
-    radius = float(np.max(np.asarray(meshes.radius))) / math.cos(
-        math.pi / AROUND
-    )  # so that the polygon encloses the circle
+    # Enlarge the radius, so that the polygon through the points encloses the circle.
+    radius = float(np.max(np.asarray(meshes.radius))) / math.cos(math.pi / AROUND)
     heights = np.array([[0.0], [max(0.0, float(np.max(np.asarray(meshes.top))))]])
     tilt = float(sonar.tilt)
     forward = math.cos(tilt) * (x + radius * np.cos(around)) + math.sin(tilt) * (float(sonar.height) - heights)
