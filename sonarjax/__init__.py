@@ -18,7 +18,8 @@ from sonarjax.calibrate import Calibration, calibrate
 from sonarjax.engine import Engine
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.match import LeanSearchConfig, SearchConfig, match_bank, match_positions
-from sonarjax.recognize import Recognition, Recognizer, recognize
+from sonarjax.recognition import Recognition
+from sonarjax.recognize import Recognizer, recognize
 from sonarjax.refine import (
     PoseEstimate,
     PoseFinder,

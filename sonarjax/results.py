@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from sonarjax.recognize import Recognition
+from sonarjax.recognition import Recognition
 from sonarjax.refine import YawMode, YawSet
 from sonarjax.track.sequence import Tracked
 

@@ -12,7 +12,7 @@ import numpy as np
 import sonarjax as sj
 from experiments.common.drawn_device import DrawnDevice
 from experiments.common.frames import observed
-from sonarjax.recognize import Hypothesis, Recognition
+from sonarjax.recognition import Hypothesis, Recognition
 
 TILT_DEG = 20.0
 

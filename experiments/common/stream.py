@@ -25,7 +25,8 @@ from experiments.common.segmenters import loaded
 from sonarjax.io import Frame, SonarjaxError, iter_frames
 from sonarjax.io.load import ENDINGS
 from sonarjax.plot import MARK_COLOR
-from sonarjax.recognize import Hypothesis, Recognition, refine_on_frame
+from sonarjax.recognition import Hypothesis, Recognition
+from sonarjax.recognize import refine_on_frame
 from sonarjax.refine import MAP_REFINEMENT
 from sonarjax.sensor import SensorModel
 

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sonarjax.recognize import Hypothesis, Recognition
+from sonarjax.recognition import Hypothesis, Recognition
 from sonarjax.refine import SAME_YAW, shares
 from sonarjax.track.belief import RATE, YAW, Belief, Measurement
 from sonarjax.track.motion import TrackConfig

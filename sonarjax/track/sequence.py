@@ -12,7 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.recognize import Recognition, Recognizer
+from sonarjax.recognition import Recognition
+from sonarjax.recognize import Recognizer
 from sonarjax.refine import in_view
 from sonarjax.scene import Pose
 from sonarjax.track.belief import Belief, next_belief, nothing_known, numbers_of, predicted

@@ -12,7 +12,7 @@ import pytest
 from sonarjax.cli import main
 from sonarjax.io import SonarjaxError
 from sonarjax.match import SearchConfig
-from sonarjax.recognize import Hypothesis, Recognition
+from sonarjax.recognition import Hypothesis, Recognition
 
 SONAR = """
 n_beams = 24

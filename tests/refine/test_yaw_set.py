@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 from scipy.stats import norm, vonmises
 
 from sonarjax.io import SonarjaxError
-from sonarjax.recognize import Hypothesis, Recognition
+from sonarjax.recognition import Hypothesis, Recognition
 from sonarjax.refine import YAW_WEIGHTS, YawMode, YawSet, YawWeights, make_yaw_set, merged, shares
 from sonarjax.results import record_of
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import sonarjax as sj
-from sonarjax.recognize import Hypothesis, Recognition
+from sonarjax.recognition import Hypothesis, Recognition
 
 SHAPE = (3, 4)
 STD = math.radians(1.0)
