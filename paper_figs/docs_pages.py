@@ -7,18 +7,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
-from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch, Rectangle, Wedge
 
 from paper_figs import style
-from sonarjax.plot import save_figure
 
-FOLDER = Path(__file__).resolve().parent / "drawn"
 OPENING_DEG, BEAM_DEG, NEAR, FAR = 58.0, 18.0, 1.0, 3.0
 """The fan of the first drawing: its opening, the beam that is drawn (to port), and its window [m]."""
 Point = tuple[float, float]
@@ -145,10 +141,7 @@ DRAWINGS: dict[str, Callable[[], Figure]] = {"docs_files": files, "docs_cluster"
 
 def main() -> None:
     """Write all of them."""
-    with rc_context(style.RC):
-        for name, draw in DRAWINGS.items():
-            save_figure(draw(), str(FOLDER / f"{name}.png"))
-            print(f"{name}.png")
+    style.write_drawings(DRAWINGS)
 
 
 if __name__ == "__main__":

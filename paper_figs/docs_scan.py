@@ -5,10 +5,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
-from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
@@ -16,12 +13,10 @@ from matplotlib.figure import Figure
 from experiments.bench_mesh import X_M, scan
 from experiments.bench_render import make_sonar
 from paper_figs import style
-from sonarjax.plot import save_figure
 from sonarjax.render import reduced_for, render
 from sonarjax.scene import Mesh, Pose
 from sonarjax.scene.reduce import real_arrays
 
-OUT = Path(__file__).resolve().parent / "drawn" / "docs_scan.png"
 TRIANGLES = 40_000
 LIGHT = np.array([0.45, -0.6, 0.66])
 PART_M = (-0.03, 0.07, 0.12, 0.22)
@@ -71,9 +66,7 @@ def _draw_labels(ax: Axes, image: np.ndarray, name: str) -> None:
 
 def main() -> None:
     """Write the drawing."""
-    with rc_context(style.RC):
-        save_figure(draw(), str(OUT))
-    print(OUT.name)
+    style.write_drawings({"docs_scan": draw})
 
 
 if __name__ == "__main__":

@@ -7,21 +7,17 @@ renderer's own functions, so the drawing shows what they do.
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
-from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from paper_figs import style
-from sonarjax.plot import save_figure
 from sonarjax.render.segments import Segments, View, cut
 from sonarjax.render.visibility import VisibleIntervals, visible_intervals
 from sonarjax.scene import objects
 
-OUT = Path(__file__).resolve().parent / "drawn" / "docs_slice.png"
 HEIGHT_M = 0.9
 LOWEST, HIGHEST = math.radians(-33.0), math.radians(-12.0)
 BOXES = (((0.18, 0.4, 0.12), 1.95), ((0.22, 0.4, 0.34), 2.3))
@@ -134,16 +130,14 @@ def _draw_bins(ax: Axes, visible: list[np.ndarray]) -> None:
         ax.axvline(edge, color=style.LIGHT, linewidth=0.4, zorder=0)
     ax.set(
         xlabel="slant range [m]; grey: range bins, drawn ten times as wide as a DIDSON's", yticks=(0.5, 1.5),
-        yticklabels=("shadow", "highlight"), ylim=(0, 2), xlim=(1.6, 4.0), 
+        yticklabels=("shadow", "highlight"), ylim=(0, 2), xlim=(1.6, 4.0),
         title="spans in range, and the bins that they fall into",
     )  # fmt: skip
 
 
 def main() -> None:
     """Write the drawing."""
-    with rc_context(style.RC):
-        save_figure(draw(), str(OUT))
-    print(OUT.name)
+    style.write_drawings({"docs_slice": draw})
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ def draw(run: Run) -> Figure:
     """PSNR left, IoU right."""
     rows = run.report["segmenters"]
     names = ["paper", *(row["segmenter"] for row in rows)]
-    figure = style.sheet(style.TWO_COLUMNS, 2.5)
+    figure = style.sheet(style.TWO_COLUMNS, 2.7)
     left, right = figure.subplots(1, 2, width_ratios=(1.35, 1))
     before, after = ([said, *(row[key] for row in rows)]
                      for said, key in ((paper.PSNR_RAW, "psnr_raw"), (paper.PSNR_MAP, "psnr")))  # fmt: skip
@@ -35,7 +35,7 @@ def draw(run: Run) -> Figure:
     _bars(right, place, [paper.IOU, *(row["iou"] for row in rows)], 0.6, style.BLUE, "{:.3f}")
     right.set(title="IoU, mean of highlight and shadow", ylabel="IoU", ylim=(0, 1))
     for ax in (left, right):
-        ax.set_xticks(place, names)
+        style.name_columns(ax, place, names)
         ax.get_xticklabels()[0].set_color(style.PAPER)
     style.letters((left, right))
     return figure

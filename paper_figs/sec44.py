@@ -21,16 +21,16 @@ EXPERIMENTS = ("reproduce_paper",)
 
 def draw(run: Run) -> Figure:
     """Accuracy, ROC and scores."""
-    figure = style.sheet(style.TWO_COLUMNS, 2.7)
+    figure = style.sheet(style.TWO_COLUMNS, 2.9)
     axes = figure.subplots(1, 3, width_ratios=(1.15, 1, 1.1))
     _accuracy(axes[0], run)
     for row in run.report["segmenters"]:
         grid, color = run.arrays(f"grid_{row['segmenter']}"), style.look(row["segmenter"])["color"]
         axes[1].plot(grid["false_positive"], grid["true_positive"], color=color,
-                     label=f"{row['segmenter']}, area {row['auc']:.3f}")  # fmt: skip
+                     label=f"{row['segmenter']}: {row['auc']:.3f}")  # fmt: skip
     axes[1].plot([0, 1], [0, 1], ":", color=style.GREY)
     axes[1].set(title="identification", xlabel="false positive rate", ylabel="true positive rate")
-    axes[1].legend(loc="lower right", handlelength=1)
+    axes[1].legend(loc="lower right", title="area", handlelength=0.8, frameon=True, framealpha=1, edgecolor="none")
     _scores(axes[2], run)
     style.letters(axes)
     return figure
@@ -49,7 +49,7 @@ def _accuracy(ax: Axes, run: Run) -> None:
     ax.axhline(paper.ACCURACY, color=style.PAPER, linestyle="--", label=f"paper: {paper.ACCURACY:.4f}")
     ax.legend(loc="upper right")
     ax.set(title="accuracy", ylim=(0, 1.19), yticks=np.arange(0, 1.01, 0.2))
-    ax.set_xticks(place, [row["segmenter"] for row in rows])
+    style.name_columns(ax, place, [row["segmenter"] for row in rows])
 
 
 def _scores(ax: Axes, run: Run) -> None:
@@ -64,8 +64,8 @@ def _scores(ax: Axes, run: Run) -> None:
                     label=("target" if own else "non-target") if number == 0 else None)  # fmt: skip
         ax.plot([number - 0.42, number + 0.42], [row["threshold"]] * 2, "--", color=style.BLACK, linewidth=1)
     names = [row["segmenter"] for row in run.report["segmenters"]]
-    ax.set(title="scores", ylabel="largest correlation (eq. 5)", ylim=(0, 1), xticks=range(len(names)))
-    ax.set_xticklabels(names)
+    ax.set(title="scores", ylabel="largest correlation (eq. 5)", ylim=(0, 1))
+    style.name_columns(ax, range(len(names)), names)
     ax.legend(loc="lower left", markerscale=2.5, handlelength=0.8)
 
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from cycler import cycler
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
@@ -27,7 +30,7 @@ PALETTE = (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILION, BLACK)
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 NAMED = {
     "truth": (BLACK, "X"), "labels": (BLACK, "X"), "pix2pix": (BLUE, "o"), "pix2pix-tiles": (SKY, "v"),
-    "discriminative": (PURPLE, "D"), "paper-cpu": (GREEN, "D"), "none": (ORANGE, "s"), "otsu": (GREEN, "^"),
+    "discriminative": (PURPLE, "D"), "paper-cpu": (SKY, "*"), "none": (ORANGE, "s"), "otsu": (GREEN, "^"),
     "otsu1": (YELLOW, "<"), "otsu3": (GREY, ">"), "median-otsu": (VERMILION, "P"),
 }  # fmt: skip
 """Colour and marker of each segmenter or kind of map: the same in every figure."""
@@ -53,6 +56,11 @@ def look(name: str) -> dict[str, Any]:
     """Colour and marker of a segmenter or kind of map, as keywords of `plot`."""
     color, marker = NAMED.get(name, (PURPLE, "D"))
     return {"color": color, "marker": marker}
+
+
+def name_columns(ax: Axes, place: Sequence[float] | np.ndarray, names: Sequence[str]) -> None:
+    """Name the columns at `place` under the axis, slanted so that long names do not run into each other."""
+    ax.set_xticks(place, names, rotation=25, ha="right", rotation_mode="anchor")
 
 
 def letters(axes: Any) -> None:
@@ -87,3 +95,11 @@ def save(figure: Figure, path: Path, dpi: float = DPI) -> None:
     """Write a figure at its size in print."""
     path.parent.mkdir(parents=True, exist_ok=True)
     save_figure(figure, path, dpi)
+
+
+def write_drawings(drawings: Mapping[str, Callable[[], Figure]]) -> None:
+    """Write drawings of the docs to `paper_figs/drawn`, by the names of their files without the ending."""
+    with rc_context(RC):
+        for name, draw in drawings.items():
+            save_figure(draw(), str(Path(__file__).resolve().parent / "drawn" / f"{name}.png"))
+            print(f"{name}.png")

@@ -358,7 +358,7 @@ def _distinct(hypotheses: list[Hypothesis]) -> tuple[Hypothesis, ...]:
     """Different yaws, best first; those closer than SAME_YAW are one."""
     kept: list[Hypothesis] = []
     for one in sorted(hypotheses, key=lambda h: -h.score):
-        gaps = [abs((one.yaw - other.yaw + math.pi) % (2 * math.pi) - math.pi) for other in kept]
+        gaps = [abs(math.remainder(one.yaw - other.yaw, 2 * math.pi)) for other in kept]
         if all(gap > SAME_YAW for gap in gaps):
             kept.append(one)
     return tuple(kept)

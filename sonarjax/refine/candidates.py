@@ -70,7 +70,7 @@ def look_closely(
 
 
 def plan_shared(mesh: Mesh, sonar: Sonar, at: Pose, config: RefineConfig) -> WindowSize:
-    """As `plan_refinement`, in coarse steps: many targets share compiled code. For a start [m, rad] `at` a place."""
+    """As `plan_refinement` for a start `at` a pose [m, rad], rounded up so that many targets share compiled code."""
     needed = plan_refinement(mesh, sonar, at, config)
     sizes = *needed.shape, needed.object_columns or sonar.n_beams
     most = sonar.n_ranges, sonar.n_beams, sonar.n_beams
@@ -82,9 +82,19 @@ def quick_evidence(
     looks: Sequence[Look], image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None, config: RefineConfig,
     window: Callable[[TargetSearch, Pose], WindowSize | None], engine: Engine,
 ) -> list[dict[str, float]]:  # fmt: skip
-    """What speaks for each of `looks`, refined a little on the frame `image` (range, beam) from its best bins.
+    """Gather the evidence for each of `looks`, after a brief refinement on the frame `image` (range, beam).
 
-    `seen` is the map of the frame; `window` tells the window that a target at a pose needs. With `score_bank`.
+    Args:
+        looks: The candidates. Each is refined from its best bin on the map and on the frame.
+        image: The grey frame (range, beam).
+        seen: Its semantic map (range, beam).
+        mask: True (range, beam) where a pixel was measured.
+        config: The full refinement, of which fewer iterations are done.
+        window: Gives the window that refinement of a target at a pose [m, rad] needs.
+        engine: Runs compiled functions.
+
+    Returns:
+        The inputs of `compared` [1] by name, for each of `looks`.
     """
     brief = replace(on_frame(config), iterations=QUICK_ITERATIONS)
     starts = [(k, start) for k, look in enumerate(looks) for start in apart(make_starts(*look, seen, image, 1))]
@@ -105,7 +115,7 @@ def quick_evidence(
 
 
 def compared(looks: Sequence[Look], evidence: Sequence[Mapping[str, float]]) -> list[tuple[Look, float]]:
-    """The looks, likeliest first, and the probability of each that it is the one that is shown: by `COMPARISON`."""
+    """Order the looks by `COMPARISON`, likeliest first; each with the probability [1] that it is the one shown."""
     odds = np.array([sum(weight * one[name] for name, weight in COMPARISON.items()) for one in evidence])
     shares = np.exp(odds - odds.max())
     shares /= shares.sum()
@@ -113,10 +123,10 @@ def compared(looks: Sequence[Look], evidence: Sequence[Mapping[str, float]]) -> 
 
 
 def apart(starts: list[Start]) -> list[Start]:
-    """The starts without those that begin as one before them does."""
+    """The starts, without those whose yaw is within `SAME_START` of an earlier one's."""
     kept: list[Start] = []
     for start in starts:
         turns = (float(start.begin.yaw) - float(one.begin.yaw) for one in kept)
-        if all(abs((turn + math.pi) % (2 * math.pi) - math.pi) > SAME_START for turn in turns):
+        if all(abs(math.remainder(turn, 2 * math.pi)) > SAME_START for turn in turns):
             kept.append(start)
     return kept

@@ -131,7 +131,7 @@ def render_window(mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, quality:
 
 
 def render_afloat(mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, quality: RenderQuality) -> SonarFrame:
-    """As `render_window` where the floor is out of sight: no echo of it, and no shadow on it."""
+    """As `render_window` for an object without a floor in view: no floor energy, and no shadow."""
     seen = _look(mesh, None, pose, sonar, window, quality)
     highlight = _per_beam(seen.slabs, covered(*seen.echo_spans, seen.visible.spans.echo_spans, window.shape[0]))
     echo = jnp.maximum(_echo(seen, mesh, quality), 0.0)
@@ -151,10 +151,10 @@ def render_objects(
     mesh: Mesh, objects: Objects, pose: Pose, sonar: Sonar, window: Window, quality: RenderQuality,
     apart: Bool[Array, ""] | bool,
 ) -> tuple[SonarFrame, ObjectLayers]:  # fmt: skip
-    """As `render_window`; where `apart`, also what each of the `objects` in the mesh adds to highlight and shadow.
+    """As `render_window`, and if `apart`, also the layers of each of the `objects` in the mesh.
 
-    The echoes of the objects are left out of such a frame's intensity: labels need none, and it is a third of the work.
-    Where not `apart`, the layers are zero.
+    With `apart`, the frame's intensity leaves out the objects' echoes: labels do not need them, and they are a third of
+    the work. Without it, the layers are zero.
     """
     seen = _look(mesh, objects, pose, sonar, window, quality)
     rows, beams = window.shape
@@ -179,37 +179,39 @@ def render_objects(
 
 
 class _Seen(NamedTuple):
-    """All that a window shows, before it is sorted into range bins."""
+    """What is visible in a window, before it is rasterised into range bins."""
 
     scene: Scene
     """The surface in the sonar frame."""
     slabs: Slabs
     """Azimuth slabs."""
     visible: VisibleProfile
-    """What is seen in the middle of each."""
+    """The visible profile in the middle of each slab."""
     echo_spans: tuple[Array, Array]
-    """Both ends (slab, 2, item) [bins] mid-slab, and half their sweep."""
+    """Ends (slab, 2, item) [bins] of echo spans in the middle of the slab, and half of how far they sweep."""
     occluded_spans: tuple[Array, Array]
-    """The same of hidden floor."""
+    """The same for occluded spans."""
     edges: Float[Array, "edge"]
     """Range bin edges [m]."""
     sonar: Sonar
-    """What looks."""
+    """The sonar."""
 
 
 def _look(
-    mesh: Mesh, objects: Objects | None, pose: Pose, sonar: Sonar, window: Window, quality: RenderQuality
-) -> _Seen:
+    mesh: Mesh, objects: Objects | None, pose: Pose, sonar: Sonar, window: Window, quality: RenderQuality,
+    by_facet: Bool[Array, ""] | bool = False,
+) -> _Seen:  # fmt: skip
+    """The first four stages; `by_facet` as in `find_spans`."""
     scene = in_sonar_frame(mesh, pose, sonar)
     slabs = _slabs_of(mesh, scene, sonar, window, quality.sub_beams)
-    visible = find_visible(mesh, scene, slabs, sonar, quality.elevations, objects=objects)
+    visible = find_visible(mesh, scene, slabs, sonar, quality.elevations, by_facet, objects)
     edges = _edges_of(sonar, window)
     echo_spans, occluded_spans = _swept_ends(visible.spans, slabs, scene, sonar, edges)
     return _Seen(scene, slabs, visible, _pulsed(*echo_spans, sonar), occluded_spans, edges, sonar)
 
 
 def _shares(seen: _Seen) -> tuple[Float[Array, "range beam"], Float[Array, "range beam"]]:
-    """Highlight and shadow."""
+    """Highlight and shadow, each (range, beam)."""
     spans, rows = seen.visible.spans, len(seen.edges) - 1
     shown = covered(*seen.echo_spans, spans.echo_spans, rows)
     hidden = covered(*seen.occluded_spans, spans.occluded_spans, rows)
@@ -217,16 +219,14 @@ def _shares(seen: _Seen) -> tuple[Float[Array, "range beam"], Float[Array, "rang
 
 
 def _echo(seen: _Seen, mesh: Mesh, quality: RenderQuality) -> Float[Array, "range beam"]:
-    """Energy of first hits of objects."""
+    """Energy (range, beam) that first hits on objects send back (eq. 2)."""
     ends = all_ends(seen.visible.intervals, seen.visible.segments, seen.visible.table)
-    energy = object_energy(
-        ends, seen.slabs, seen.scene, seen.sonar, quality.elevations, seen.edges, mesh.reflectivity
-    )  # fmt: skip
+    energy = object_energy(ends, seen.slabs, seen.scene, seen.sonar, quality.elevations, seen.edges, mesh.reflectivity)
     return _per_beam(seen.slabs, energy)
 
 
 def _frame_of(seen: _Seen, shares: tuple[Array, Array], echo: Array, window: Window) -> SonarFrame:
-    """The frame of highlight and shadow, and of the energy that objects send back; the floor is added here."""
+    """The frame, given highlight and shadow (`shares`) and the objects' energy (`echo`); adds the floor's energy."""
     (highlight, shadow), scene, sonar, edges = shares, seen.scene, seen.sonar, seen.edges
     azimuth = _columns(jnp.asarray(sonar.azimuth), window.column, window.shape[1])
     floor = platform_lit(azimuth, scene, sonar, edges)
@@ -274,17 +274,12 @@ def render_echo(
     Returns:
         Layers (range, beam) of the window.
     """
-    rows = window.shape[0]
-    scene = in_sonar_frame(mesh, pose, sonar)
-    slabs = _slabs_of(mesh, scene, sonar, window, quality.sub_beams)
-    spans = find_visible(mesh, scene, slabs, sonar, quality.elevations, jnp.asarray(by_facet)).spans
-    echo_spans, occluded_spans = _swept_ends(spans, slabs, scene, sonar, _edges_of(sonar, window))
-    shown = _pulsed(*echo_spans, sonar)
+    seen = _look(mesh, None, pose, sonar, window, quality, jnp.asarray(by_facet))
+    spans, shown = seen.visible.spans, seen.echo_spans
     length = stop_gradient(shown[0][:, 1] - shown[0][:, 0])
     density = jnp.where(spans.echo_spans, spans.angle / jnp.maximum(length, 1.0), 0.0)
-    echo = jnp.maximum(_per_beam(slabs, spread(*shown, density, rows)), 0.0)
-    highlight = _per_beam(slabs, covered(*shown, spans.echo_spans, rows))
-    return EchoLayers(echo, highlight, _per_beam(slabs, covered(*occluded_spans, spans.occluded_spans, rows)))
+    echo = jnp.maximum(_per_beam(seen.slabs, spread(*shown, density, window.shape[0])), 0.0)
+    return EchoLayers(echo, *_shares(seen))
 
 
 def _slabs_of(mesh: Mesh, scene: Scene, sonar: Sonar, window: Window, sub_beams: int) -> Slabs:

@@ -7,7 +7,6 @@ network's properties (width, head, skips) are derived from the shapes of its arr
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Mapping
 from functools import partial
 from importlib import resources
@@ -90,7 +89,7 @@ def load_generator(path: str | os.PathLike[str] | None = None) -> GeneratorWeigh
 
 def _filed(place: str) -> str:
     """The name in a file of the array at a place: flax's `var` is called `variance` there."""
-    return re.sub(r"\.var$", ".variance", place)
+    return f"{place.removesuffix('var')}variance" if place.endswith(".var") else place
 
 
 def _nested(arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
