@@ -115,7 +115,7 @@ class Mesh:
             raise SonarjaxError(f"{name}: every triangle has zero area, expected a surface")
         closed = bool(surface.is_watertight)
         if closed:
-            trimesh.repair.fix_normals(surface, multibody=True)
+            _turn_outward(surface)
         return _padded(surface, closed)
 
     def with_vertices(self, vertices: Float[Array, "vertex 3"]) -> Mesh:
@@ -262,6 +262,21 @@ def _mentioned(faces: np.ndarray, count: int) -> np.ndarray:
     kept = np.zeros(count, bool)
     kept[faces] = True
     return kept
+
+
+def _turn_outward(surface: trimesh.Trimesh) -> None:
+    """Wind the triangles of a closed surface so that the normals of each of its bodies point outward, in place.
+
+    trimesh's `fix_normals` does the same body by body, which takes seconds for a scan of 500,000 triangles.
+    """
+    trimesh.repair.fix_winding(surface)
+    body = trimesh.graph.connected_component_labels(surface.face_adjacency, node_count=len(surface.faces))
+    a, b, c = np.moveaxis(surface.triangles - surface.centroid, 1, 0)
+    inward = np.bincount(body, weights=(np.cross(a, b) * c).sum(axis=1))[body] < 0
+    if inward.any():
+        faces = np.array(surface.faces)
+        faces[inward] = faces[inward][:, ::-1]
+        surface.faces = faces
 
 
 def _padded(surface: trimesh.Trimesh, closed: bool) -> Mesh:

@@ -21,7 +21,7 @@ from sonarjax.scene.mesh import Mesh
 
 FEWEST = 256
 """Meshes are not reduced below this number of triangles, because there is nothing to gain."""
-STEP = 2.0**0.25
+STEP = 2.0**0.125
 """Ratio between neighbouring triangle counts in the search for the smallest one."""
 AGGRESSIVENESS = 3.0
 """Argument `agg` of `fast_simplification`. The default of 7 is faster, but at 5,000 triangles the resulting surface is

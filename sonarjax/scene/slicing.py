@@ -13,6 +13,8 @@ PAIRS_AT_ONCE = 1 << 21
 FINE = (
     20_000  # above this many triangles, count by bins, in fewer directions, or on a sample: exact counts take seconds
 )
+VERY_FINE = 10 * FINE
+"""Above this many triangles the count hardly changes from one direction to the next, so still fewer are tried."""
 BINS = 1 << 15
 
 
@@ -26,7 +28,8 @@ def most_crossings(
     because pitch and roll bring other triangles into the slice. The 15 % allow for the directions in between.
     """
     worst = 0
-    overlap, views = (_deepest_overlap, views) if len(faces) <= FINE else (_deepest_overlap_by_bins, views // 2)
+    overlap = _deepest_overlap if len(faces) <= FINE else _deepest_overlap_by_bins
+    views //= 1 + (len(faces) > FINE) + 2 * (len(faces) > VERY_FINE)
     points = vertices.astype(np.float64)
     normals = _normals(points, faces)
     for view in range(views):
