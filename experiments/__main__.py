@@ -60,7 +60,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Command line. Leaves by SystemExit: 2 for arguments, 1 when something failed."""
     known = questions()
     parser = argparse.ArgumentParser(prog="python -m experiments", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--smoke", nargs="*", metavar="NAME", help="run the smoke preset of these, or of all")
+    parser.add_argument(
+        "--smoke", nargs="*", metavar="NAME", help="run the smoke preset of these experiments, or of all"
+    )
     names = parser.parse_args(arguments).smoke
     if names is None:
         width = max(map(len, known))
@@ -68,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         return
     unknown = [name for name in names if name not in known]
     if unknown:
-        parser.error(f"no experiment {unknown[0]!r}; there are: {', '.join(known)}")
+        parser.error(f"unknown experiment {unknown[0]!r}, expected some of: {', '.join(known)}")
     failed = smoke_all(names or list(known))
     if failed:
         print("\n" + "\n\n".join(failed), file=sys.stderr)

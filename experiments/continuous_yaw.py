@@ -76,7 +76,7 @@ class Settings:
         if unknown:
             raise sj.SonarjaxError(f"timed: expected {', '.join(SEGMENTERS)}, got {unknown[0]}")
         if TIMED_TILT_DEG not in self.tilts_deg:
-            raise sj.SonarjaxError(f"tilts_deg: expected {TIMED_TILT_DEG:g} among them, whose frames are timed")
+            raise sj.SonarjaxError(f"tilts_deg: expected {TIMED_TILT_DEG:g} among them, because its frames are timed")
 
 
 def run(settings: Settings, job: Job) -> Report:

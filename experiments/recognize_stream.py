@@ -90,11 +90,11 @@ class Settings:
     def __post_init__(self) -> None:
         """Raise SonarjaxError for arguments that cannot be used together."""
         if self.source and not (self.target and self.sonar):
-            raise SonarjaxError("source: a stream needs a target (mesh) and a sonar (toml) too")
+            raise SonarjaxError("source: expected with it a target (a mesh file) and a sonar (a TOML file)")
         if self.every < 1 or self.frames < 1 or self.limit < 0 or not 0 <= self.follow < math.inf:
-            raise SonarjaxError("expected at least 1 for every and frames, at least 0 for limit and follow")
+            raise SonarjaxError("expected every and frames of 1 or more, limit and follow of 0 or more")
         if self.follow and not os.path.isdir(self.source):
-            raise SonarjaxError(f"follow: only a folder can be followed, not {self.source!r}")
+            raise SonarjaxError(f"follow: expected a folder as source, got {self.source!r}")
 
 
 def run(settings: Settings, job: Job) -> Report:
@@ -140,7 +140,7 @@ def _through(
     unfinished.replace(job.folder / f"{name}.jsonl")
     found = [record for record in records if "error" not in record]
     if not found:
-        raise SonarjaxError(f"{settings.source}: no frame of it could be recognized")
+        raise SonarjaxError(f"{settings.source}: none of its frames could be recognized")
     arrays = {key: np.array([np.nan if r.get(key) is None else r[key] for r in found], float) for key in KEPT}
     job.arrays(name, **arrays)
     save_figure(picture(arrays), job.folder / f"{name}.png")

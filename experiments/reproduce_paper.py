@@ -65,7 +65,7 @@ class Settings:
         if self.step_deg < 1 or 90 % self.step_deg:
             raise ValueError(f"--step-deg: expected a divisor of 90, got {self.step_deg}")
         if "none" not in self.segmenters[1:]:
-            raise ValueError("--segmenters: expected two or more, `none` not the first of them")
+            raise ValueError("--segmenters: expected two or more, with `none` among them but not first")
 
 
 def run(settings: Settings, job: Job) -> Report:

@@ -83,7 +83,9 @@ class Settings:
         """Raises ValueError for a property that there is not."""
         unknown = set(self.properties) - set(PROPERTIES)
         if unknown:
-            raise ValueError(f"--properties: unknown {', '.join(sorted(unknown))}; there are {', '.join(PROPERTIES)}")
+            raise ValueError(
+                f"--properties: unknown {', '.join(sorted(unknown))}, expected some of {', '.join(PROPERTIES)}"
+            )
 
 
 def run(settings: Settings, job: Job) -> Report:

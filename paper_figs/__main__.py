@@ -19,7 +19,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Exit status: 0, or 1 when what was asked for cannot be drawn."""
     parser = argparse.ArgumentParser(prog="python -m paper_figs", description=__doc__.splitlines()[0])
     parser.add_argument("items", nargs="*", metavar="ITEM", help=" ".join(one.split("_")[0] for one in index.scripts()))
-    parser.add_argument("--all", action="store_true", help="every item whose experiments have run")
+    parser.add_argument("--all", action="store_true", help="draw every item whose experiments have run")
     parser.add_argument("--report", metavar="FILE", type=Path, help="write one HTML page with everything that has run")
     parser.add_argument("--index", action="store_true", help="write paper_figs/README.md")
     parser.add_argument("--readme", action="store_true", help="fill the tables of README.md and docs/")

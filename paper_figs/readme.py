@@ -44,7 +44,7 @@ def keep(name: str, runs: Path, kept: Path) -> None:
     """Copy the results of an experiment, over all seeds that were run. Raises SonarjaxError for a smoke run."""
     run = load(runs, name)
     if run.smoke:
-        raise SonarjaxError(f"{run.folder}: a run of preset smoke is nothing for README; run {command(name)}")
+        raise SonarjaxError(f"{run.folder}: a run of preset smoke cannot go into README; run {command(name)}")
     reports = [{key: value for key, value in report.items() if key not in LEFT_OUT} for report in of_all_seeds(run)]
     kept.mkdir(parents=True, exist_ok=True)
     write_text(kept / f"{name}.json", json.dumps(_rounded(reports), indent=1) + "\n")
@@ -92,7 +92,7 @@ def filled(text: str, name: str, content: str, path: Path) -> str:
     begin, end = (f"<!-- {name}:{side} -->" for side in ("begin", "end"))
     lines = text.split("\n")
     if lines.count(begin) != 1 or lines.count(end) != 1 or lines.index(begin) > lines.index(end):
-        raise SonarjaxError(f"{path}: expected one line {begin} and below it one line {end}")
+        raise SonarjaxError(f"{path}: expected one line {begin}, and below it one line {end}")
     first, last = lines.index(begin), lines.index(end)
     return "\n".join([*lines[: first + 1], "", content, "", *lines[last:]])
 

@@ -69,9 +69,9 @@ class ClusterEngine(CpuEngine):
                     kept = self.client.submit(_same, shared, pure=False)
                     future = start(item)[1]
                 except CancelledError as error:
-                    raise SonarjaxError("--cluster: the scheduler is gone, or has dropped the work") from error
+                    raise SonarjaxError("--cluster: the scheduler stopped, or it dropped the work") from error
             else:
-                raise SonarjaxError(f"--cluster: {DEATHS} workers died at one item: expected workers that live")
+                raise SonarjaxError(f"--cluster: {DEATHS} workers died while they computed the same item")
             room = AHEAD * max(1, self.threads()) if first else 1
             first = False
             waiting.extend(start(one) for one in islice(rest, room))
@@ -108,11 +108,11 @@ def connect(address: str) -> Iterator[ClusterEngine]:
         import dask
         from distributed import Client, LocalCluster
     except ImportError as error:
-        raise SonarjaxError("--cluster: needs Dask: pip install 'sonarjax[cluster]'") from error
+        raise SonarjaxError("--cluster: Dask is not installed: pip install 'sonarjax[cluster]'") from error
     match = re.fullmatch(r"local(?::([0-9]{1,4}))?", address)
     if match is None and not re.fullmatch(r"[a-z]+://\S+|\S+:[0-9]+|.+\.json", address):
         raise SonarjaxError(
-            f"--cluster: expected local, local:N, a scheduler's address such as tcp://host:8786, or its file "
+            f"--cluster: expected local, local:N, a scheduler's address such as tcp://host:8786, or the path of its "
             f"scheduler.json, got {address!r}"
         )
     workers = int(match[1]) if match and match[1] else cores()

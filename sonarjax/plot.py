@@ -179,7 +179,7 @@ def draw_outline(
     values = np.asarray(template, np.float64)
     (row, column), (height, width) = offset, values.shape
     if row < 0 or column < 0 or row + height > sonar.n_ranges or column + width > sonar.n_beams:
-        raise SonarjaxError(f"outline: a template {values.shape} at {offset} is not inside the image {sonar.shape}")
+        raise SonarjaxError(f"outline: expected a template inside {sonar.shape}, got {values.shape} at {offset}")
     if min(values.shape) < 2:
         return  # one row or column has no outline
     edges = _range_edges(sonar)

@@ -203,7 +203,7 @@ class Recognizer:
         own = None if given else self.segmenter.threshold if rule is None else rule.threshold
         if threshold is None and own is None:
             what = "a `semantic` map" if given else f"the segmenter {self.segmenter.name}"
-            raise SonarjaxError(f"threshold: expected a number beside {what}, there is none for it")
+            raise SonarjaxError(f"threshold: expected a number, because {what} has no threshold of its own")
         return float(own if threshold is None else threshold)  # type: ignore[arg-type]
 
     def _pictures(self, image: np.ndarray, seen: np.ndarray, segmented: bool) -> tuple[np.ndarray, ...]:

@@ -53,7 +53,7 @@ def launch(
     name = Path(module.__file__).stem
     chosen, common = parse(settings, module.__doc__ or "", smoke, arguments)
     if common.cluster and name.startswith("bench_"):
-        print(f"{name}: --cluster: a benchmark times one machine", file=sys.stderr)
+        print(f"{name}: --cluster: cannot be used, because a benchmark times one machine", file=sys.stderr)
         raise SystemExit(2)
     tune()  # before anything is computed
     reports = []
@@ -74,11 +74,11 @@ def launch(
     except SonarjaxError as error:
         raise SystemExit(f"{name}: {error}") from error
     except KeyboardInterrupt:
-        print(f"{name}: interrupted; the same command goes on where it was", file=sys.stderr)
+        print(f"{name}: interrupted; run the same command again to continue", file=sys.stderr)
         raise SystemExit(130) from None
     if len(reports) > 1:
         print(f"\nmean of seeds {', '.join(map(str, common.seeds))}\n{table(combined(reports, _mean))}")
-        print(f"\nlargest deviation from it\n{table(combined(reports, _deviation))}")
+        print(f"\nlargest deviation from this mean\n{table(combined(reports, _deviation))}")
     return reports
 
 
@@ -132,7 +132,7 @@ def parse(
     With them `changed`: the options that were given another value than the preset's.
     """
     parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--preset", choices=("full", "smoke"), default="full", help="smoke: a run of seconds")
+    parser.add_argument("--preset", choices=("full", "smoke"), default="full", help="smoke: a test run of seconds")
     seeds = f"root seeds below {VALIDATION_SEED}, one run each (default: 0)"
     parser.add_argument("--seeds", type=_seed, nargs="+", default=[0], help=seeds)
     parser.add_argument("--runs", default="runs", help="folder of the results (default: runs)")

@@ -53,7 +53,7 @@ def read_set(folder: Path) -> OutsideSet:
     """
     path = folder / TRUTH
     if not path.is_file():
-        raise sj.SonarjaxError(f"{path}: no such file, expected the truth of a folder of frames")
+        raise sj.SonarjaxError(f"{path}: no such file, expected the true poses of the frames in this folder")
     with path.open(encoding="utf-8", newline="") as file:
         lines = list(csv.DictReader(file))
     groups = sorted({Path(line["frame"]).parent.as_posix() for line in lines})

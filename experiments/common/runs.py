@@ -184,7 +184,9 @@ def load(runs: Path, experiment: str) -> Run:
         found = [run for run in found if not wanted or wanted.items() <= run.report["settings"].items()]
         newest = max(found, key=lambda run: (*_rank(run.report), (run.folder / RESULTS).stat().st_mtime), default=None)
     except (AttributeError, LookupError, TypeError, ValueError) as error:
-        text = f"{runs / name}: a results.json there is of other code ({error!r}); remove it and run {command} again"
+        text = (
+            f"{runs / name}: a results.json here comes from other code ({error!r}); remove it and run {command} again"
+        )
         raise SonarjaxError(text) from error
     if newest is None:
         raise SonarjaxError(f"{runs / name}: no finished run; `{command}` makes one")

@@ -72,7 +72,7 @@ def measured_parts(asked: Asked, parts: Sequence[str], engine: Engine) -> tuple[
         except _Measured as found:
             return found.values, _files(Path(folder))
     raise RuntimeError(
-        f"{asked.work.module}: no part is called {parts[0]!r}: it depends on more than seed and settings"
+        f"{asked.work.module}: expected a part called {parts[0]!r}: its parts depend on more than seed and settings"
     )
 
 

@@ -155,7 +155,7 @@ def calibrate(
     at, probability = found_with(first.sonar.replace(geometry_std=None))  # search again with the nearly right sonar
     used = probability >= LIKELY if made.rule is not None and not present else _likeliest(probability, share)
     if not used.any():
-        raise SonarjaxError(f"frames: the target was found in none of the {len(images)} frames")
+        raise SonarjaxError(f"frames: the target was not found in any of the {len(images)} frames")
     return _result(job, at, probability, used, first.change, coarse=False)
 
 
@@ -181,7 +181,7 @@ def check_frames(frames: Any, masks: Any, sonar: Sonar) -> tuple[list[np.ndarray
         if not np.isfinite(image if mask is None else image[mask]).all():
             raise SonarjaxError(f"frames[{number}]: holds NaN or infinite values")
     if len(images) > 1 and all(np.array_equal(image, images[0]) for image in images):
-        raise SonarjaxError(f"frames: all {len(images)} are the same picture, expected different ones")
+        raise SonarjaxError(f"frames: expected different frames, all {len(images)} are the same")
     filled = [i if m is None else np.where(m, i, 0.0) for i, m in zip(images, measured, strict=True)]
     return [i.astype(np.float32) for i in filled], measured
 

@@ -125,7 +125,7 @@ def _fitted(
                 point = _best_tilt(job, evaluate, point, prior)
             most = iterations if last else iterations // 2
             fit = solve_jointly(evaluate, point, prior, iterations=most)
-            job.progress(f"fitted, blurred by {blur:g} range bins: cost {fit.costs.sum():.0f}")
+            job.progress(f"fitted with a blur of {blur:g} range bins: cost {fit.costs.sum():.0f}")
             point, spread = fit.point, _smooth(fit.spread)
             if blur == BLURS[-1] and not last:
                 prior = prior._replace(overcounted=overcounted(fit.information, fit.scores, job.std))
@@ -142,7 +142,7 @@ def _best_tilt(job: Job, evaluate: Callable[[Point, int], list[Blocks]], point: 
     some, by_tilt = min(TILT_FRAMES, len(point.own)), np.eye(len(point.shared))[job.free.index("tilt")]
     tried = []
     for away in TILTS:
-        job.progress(f"trying a tilt {away:+g} standard deviations off")
+        job.progress(f"trying a tilt {away:+g} standard deviations away")
         begin = Point(point.shared + by_tilt * prior.std * away, point.own[:some])
         tried.append(solve_jointly(lambda at: evaluate(at, some), begin, prior, iterations=TILT_ITERATIONS))
     best = min(tried, key=lambda fit: fit.costs.sum())

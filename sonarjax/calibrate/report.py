@@ -29,9 +29,9 @@ def describe_calibration(found: Calibration, nominal: Sonar, frames: Sequence[st
     lines = [_line(found, nominal, k) for k in range(len(found.free))]
     if not all(found.determined.values()):
         named = [f"{share:+.2f} {name}" for name, share in found.weakest.items() if abs(share) >= LOOSE]
-        lines.append(f"least known, in units of the priors: {' '.join(named)}")
+        lines.append(f"least determined combination, in units of the priors: {' '.join(named)}")
     if not found.converged:
-        lines.append("the fit has not settled: take its numbers with care")
+        lines.append("the fit did not converge: its numbers may be wrong")
     for k, name in enumerate(frames):
         state = f"residual {found.residual[k]:.2f}" if found.used[k] else "left out"
         yaw = math.degrees(float(np.asarray(found.poses.yaw)[k]))
@@ -44,7 +44,7 @@ def _line(found: Calibration, nominal: Sonar, k: int) -> str:
     unit, scale = UNITS[PARAMETERS[name].unit]
     change, std = scale * found.change[k], scale * math.sqrt(found.covariance[k, k])
     if not found.determined[name]:
-        return f"{name}: not determined by these frames, kept as it was"
+        return f"{name}: not determined by these frames, left at its nominal value"
     value = getattr(nominal, name, None)
     total = "" if value is None else f"{scale * float(value) + change:.4g}{unit}, "
     return f"{name}: {total}changed by {change:+.3g}{unit} ± {std:.2g}{unit}"

@@ -12,9 +12,9 @@ from sonarjax.io import complain
 
 FRAME_HELP = (
     ".npz (image, mask), .npy, .png, a recording .aris/.ddf/.raw/.oculus or a ROS bag .bag/.mcap/.db3 "
-    "(all frames; FILE:N for one, from 0; of a bag FILE:TOPIC:N)"
+    "(all frames, or FILE:N for frame N, from 0; in a bag FILE:TOPIC:N)"
 )
-EXITS = "exit codes: 0 done; 1 a frame could not be read; 2 arguments, mesh, TOML or output that cannot be used"
+EXITS = "exit codes: 0 done; 1 a frame could not be read; 2 arguments, mesh, TOML or output could not be used"
 
 
 class Parser(argparse.ArgumentParser):
@@ -36,8 +36,8 @@ def add_mesh_options(command: argparse.ArgumentParser) -> None:
     )
     command.add_argument(
         "--mesh-tolerance", metavar="M", type=partial(limited, low=0.0, high=1.0),
-        help="how far [m] a mesh of very many triangles may be changed to have fewer (default: too little for the "
-        "sonar to tell; 0: leave it as it is)",
+        help="how far [m] the surface of a very fine mesh may move when its triangles are reduced (default: less than "
+        "the sonar resolves; 0: do not reduce it)",
     )  # fmt: skip
 
 

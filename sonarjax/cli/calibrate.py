@@ -14,19 +14,21 @@ from sonarjax.io import check_outputs, complain, naming, say
 
 def add(commands: Any) -> None:
     """Add this command and its arguments to `commands`, the subparsers of the command line."""
-    command = commands.add_parser("calibrate", help="the sonar's geometry from frames of a known object", epilog=EXITS)
+    command = commands.add_parser(
+        "calibrate", help="fit the sonar's geometry to frames of a known object", epilog=EXITS
+    )
     command.set_defaults(run=run)
     command.add_argument("frames", metavar="FRAME", nargs="+", help=FRAME_HELP)
     command.add_argument("--target", metavar="MESH", required=True, help="the object in the frames, at unknown poses")
-    command.add_argument("--sonar", metavar="S.toml", required=True, help="the sonar as it is known so far")
-    command.add_argument("--out", metavar="FITTED.toml", required=True, help="written: the fitted sonar")
+    command.add_argument("--sonar", metavar="S.toml", required=True, help="the nominal sonar, where the fit starts")
+    command.add_argument("--out", metavar="FITTED.toml", required=True, help="output file: the fitted sonar")
     command.add_argument(
         "--free", metavar="NAMES", default="tilt,height", type=lambda text: tuple(text.split(",")),
-        help="what is unknown, of tilt, roll, height, elevation_aperture, range_offset, range_scale, azimuth_scale, "
-        "beam_bend, beam_skew (default: %(default)s)",
+        help="what to fit, separated by commas: tilt, roll, height, elevation_aperture, range_offset, range_scale, "
+        "azimuth_scale, beam_bend or beam_skew (default: %(default)s)",
     )  # fmt: skip
-    command.add_argument("--present", action="store_true", help="every frame shows the target: leave none out")
-    command.add_argument("--png", metavar="P", help="a picture for people: frames, and what the fit makes of them")
+    command.add_argument("--present", action="store_true", help="every frame shows the target, so use all of them")
+    command.add_argument("--png", metavar="P", help="picture of some frames, before and after the fit")
     add_mesh_options(command)
 
 

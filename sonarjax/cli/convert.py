@@ -12,18 +12,18 @@ from sonarjax.io import FAN_OPTIONS, FanOptions, SonarjaxError, check_outputs, c
 def add(commands: Any) -> None:
     """Add this command and its arguments to `commands`, the subparsers of the command line."""
     command = commands.add_parser(
-        "convert", help="a fan picture as a polar frame, and back; frames and recordings as a ROS bag", epilog=EXITS
+        "convert", help="turn a fan picture into a polar frame or back, or frames into a ROS bag", epilog=EXITS
     )
     command.set_defaults(run=run)
     command.add_argument(
         "files", metavar="FILE", nargs="+",
-        help="a fan picture, or a polar frame: " + FRAME_HELP + "; one of them, or for a bag any number",
+        help="a fan picture, or a polar frame: " + FRAME_HELP + "; one FILE, or for a bag any number",
     )  # fmt: skip
     command.add_argument(
         "--out",
         metavar="OUT",
         required=True,
-        help="POLAR.npz, FAN.png, LOG.bag or LOG.mcap: its ending says what is made",
+        help="POLAR.npz, FAN.png, LOG.bag or LOG.mcap: its ending chooses the format",
     )
     for option, (metavar, text) in FAN_OPTIONS.items():
         value = {"metavar": metavar, "type": count if metavar == "N" else number}

@@ -18,35 +18,37 @@ from sonarjax.io import say
 def add(commands: Any) -> None:
     """Add this command and its arguments to `commands`, the subparsers of the command line."""
     command = commands.add_parser(
-        "dataset", help="simulated frames with masks, boxes and poses",
-        epilog="the same command goes on where a run was cut off; exit codes: 0 done; 2 input that cannot be used",
+        "dataset", help="simulate frames with masks, boxes and poses",
+        epilog="the same command continues an interrupted run; exit codes: 0 done; 2 input could not be used",
     )  # fmt: skip
     command.set_defaults(run=run)
     command.add_argument(
-        "meshes", metavar="MESH", nargs="+", help="surfaces that trimesh reads, or folders of them; a name each"
+        "meshes", metavar="MESH", nargs="+", help="mesh files that trimesh reads, or folders of them; names must differ"
     )
     command.add_argument("--sonar", metavar="S.toml", required=True, help="the sonar and its geometry")
     command.add_argument(
         "--count", metavar="N", required=True, type=partial(count, high=2**31), help="number of frames"
     )
-    command.add_argument("--out", metavar="DIR", required=True, help="folder, made if missing; README.md describes it")
-    command.add_argument("--format", choices=FORMATS, default="png", help="default: %(default)s")
+    command.add_argument("--out", metavar="DIR", required=True, help="output folder; its README.md describes the set")
+    command.add_argument("--format", choices=FORMATS, default="png", help="file format (default: %(default)s)")
     command.add_argument(
-        "--scenes", metavar="K", type=partial(count, high=32), default=1, help="1 to K objects a frame (default: 1)"
+        "--scenes", metavar="K", type=partial(count, high=32), default=1, help="1 to K objects per frame (default: 1)"
     )
     command.add_argument(
         "--sensor", choices=SENSORS, default="drawn",
-        help="one device, one drawn for each frame, or drawn from wider ranges (default: %(default)s)",
+        help="nominal: one device; drawn: a new one for each frame; wide: from wider ranges (default: %(default)s)",
     )  # fmt: skip
     command.add_argument(
         "--severity", metavar="S", type=partial(limited, low=0.0, high=10.0), default=1.0,
-        help="noise: 0 none, 1 as hard as the paper's frames (default)",
+        help="noise: 0 is none, 1 as hard as the paper's frames (default: 1)",
     )  # fmt: skip
-    command.add_argument("--seed", metavar="S", type=partial(count, low=0, high=2**31), default=0, help="default: 0")
     command.add_argument(
-        "--shard", metavar="I/N", type=_shard, default=(1, 1), help="make part I of N; all go to the same folder"
+        "--seed", metavar="S", type=partial(count, low=0, high=2**31), default=0, help="random seed (default: 0)"
     )
-    command.add_argument("--license", metavar="TEXT", default="", help="licence line of the data set's README.md")
+    command.add_argument(
+        "--shard", metavar="I/N", type=_shard, default=(1, 1), help="make part I of N; all parts share one --out"
+    )
+    command.add_argument("--license", metavar="TEXT", default="", help="licence to name in the data set's README.md")
     command.add_argument("--cluster", metavar="WHERE", help=CLUSTER_HELP)
     add_mesh_options(command)
 
@@ -82,5 +84,5 @@ def run(args: argparse.Namespace) -> int:
             meshes, sonar, args.out, args.count, key=jax.random.key(args.seed), format=args.format,
             settings=settings, shard=args.shard, license=args.license, engine=engine, progress=bar.update,
         )  # fmt: skip
-    say(f"{args.out}: {args.count} frames" if complete else f"{args.out}: shard done, others are missing")
+    say(f"{args.out}: {args.count} frames" if complete else f"{args.out}: this shard is done, others are missing")
     return 0

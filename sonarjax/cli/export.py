@@ -13,15 +13,15 @@ from sonarjax.segment import DEFAULT_SEGMENTER
 
 def add(commands: Any) -> None:
     """Add this command and its arguments to `commands`, the subparsers of the command line."""
-    command = commands.add_parser("export", help="the segmenter's network as an ONNX file", epilog=EXITS)
+    command = commands.add_parser("export", help="write the segmenter's network to an ONNX file", epilog=EXITS)
     command.set_defaults(run=run)
     command.add_argument(
         "--onnx", metavar="FILE.onnx", required=True,
-        help="written: the network from a 128 x 128 crop to its semantic map; its metadata say what goes in and out",
+        help="output file: the network from a 128 x 128 crop to its semantic map; metadata describe input and output",
     )  # fmt: skip
     command.add_argument(
         "--segmenter", metavar="NAME", default=DEFAULT_SEGMENTER,
-        help="pix2pix, the shipped network, or a weights.safetensors that training wrote (default: %(default)s)",
+        help="pix2pix (the shipped network) or a weights.safetensors from training (default: %(default)s)",
     )  # fmt: skip
 
 

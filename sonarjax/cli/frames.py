@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-CLUSTER_HELP = "share the work among Dask workers: a scheduler's ADDRESS, or local[:N] for N processes here"
+CLUSTER_HELP = "share the work among Dask workers: a scheduler's ADDRESS, or local[:N] for N processes on this machine"
 Lazy = Any  # a type of a module that is imported inside the function: the docstring names it
 
 

@@ -11,7 +11,7 @@ from sonarjax.io import SonarjaxError, complain, describe, say
 
 def add(commands: Any) -> None:
     """Add this command and its arguments to `commands`, the subparsers of the command line."""
-    command = commands.add_parser("info", help="what a frame, sonar or weights file holds", epilog=EXITS)
+    command = commands.add_parser("info", help="show what a frame, sonar or weights file holds", epilog=EXITS)
     command.set_defaults(run=run)
     command.add_argument("file", metavar="FILE", help=f"{FRAME_HELP}, a sonar.toml, or a weights.safetensors")
 

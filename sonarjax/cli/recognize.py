@@ -20,27 +20,28 @@ from sonarjax.segment import DEFAULT_SEGMENTER, SEGMENTERS
 
 def add(commands: Any) -> None:
     """Add this command and its arguments to `commands`, the subparsers of the command line."""
-    command = commands.add_parser("recognize", help="is the target in these frames, and at which yaw?", epilog=EXITS)
+    command = commands.add_parser("recognize", help="find a target, and its yaw, in frames", epilog=EXITS)
     command.set_defaults(run=run)
     command.add_argument("frames", metavar="FRAME", nargs="+", help=FRAME_HELP)
     command.add_argument(
         "--target", metavar="MESH", required=True, action="append",
-        help="the object to look for; several by giving it again, or a folder of meshes: which of them is it?",
+        help="the object to look for; with several (repeat --target, or name a folder) the answer says which one it is",
     )  # fmt: skip
     command.add_argument(
         "--sonar", metavar="S.toml", required=True, help="the sonar and its geometry (overrides a file's header)"
     )
-    command.add_argument("--out", metavar="R.jsonl", required=True, help="one JSON object a frame is appended")
+    command.add_argument("--out", metavar="R.jsonl", required=True, help="output file, one line of JSON for each frame")
     command.add_argument(
         "--segmenter", metavar="NAME", default=DEFAULT_SEGMENTER,
         help=f"{', '.join(SEGMENTERS)}; none matches the grey frame itself (default: %(default)s)",
     )  # fmt: skip
-    command.add_argument("--no-refine", action="store_true", help="stop at the yaw bin of the template bank")
+    command.add_argument("--no-refine", action="store_true", help="stop at the yaw bin, do not refine it")
     command.add_argument(
-        "--threshold", metavar="T", type=correlation, help="score from which on it is the target (default: shipped)"
-    )
+        "--threshold", metavar="T", type=correlation,
+        help="lowest score of an identified target (default: the segmenter's own)",
+    )  # fmt: skip
     command.add_argument(
-        "--track", action="store_true", help="the frames are one sequence: yaw and place are what all so far say"
+        "--track", action="store_true", help="the frames are one sequence: find yaw and place from all so far"
     )
     command.add_argument(
         "--motion", choices=("turning", "standing"), default="turning",
@@ -69,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
     from sonarjax.track import Standing, Tracker, Turning
 
     if args.cluster is not None and args.track:
-        raise SonarjaxError("--cluster: a track's frames depend on each other: expected --cluster or --track, not both")
+        raise SonarjaxError("--cluster: expected --cluster or --track, not both: a track takes its frames in order")
     check_segmenter(args.segmenter)
     sonar = Sonar.from_toml(args.sonar)
     meshes = {name: load_mesh(file, sonar, args) for name, file in files.items()}

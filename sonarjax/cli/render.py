@@ -22,22 +22,22 @@ def add(commands: Any) -> None:
     command.add_argument("mesh", metavar="MESH", help="surface in any format that trimesh reads (STL, OBJ, PLY, ...)")
     command.add_argument("--sonar", metavar="S.toml", required=True, help="the sonar and its geometry")
     command.add_argument("--x", metavar="M", required=True, type=number, help="forward position of the mesh [m]")
-    command.add_argument("--y", metavar="M", required=True, type=number, help="its position to port [m]")
+    command.add_argument("--y", metavar="M", required=True, type=number, help="position of the mesh to port [m]")
     command.add_argument(
-        "--yaw-deg", metavar="D", required=True, type=number, help="its yaw, counter-clockwise from above [deg]"
+        "--yaw-deg", metavar="D", required=True, type=number, help="yaw of the mesh, counter-clockwise from above [deg]"
     )
     command.add_argument(
         "--out", metavar="FRAME.npz", required=True,
-        help="written: image (semantic), intensity, highlight, shadow, labels, azimuth_deg, range_edges_m",
+        help="output file: image (semantic), intensity, highlight, shadow, labels, azimuth_deg, range_edges_m",
     )  # fmt: skip
     command.add_argument(
         "--png", metavar="P",
-        help="a picture for people: polar and fan views with axes (for a frame that is data, use FRAME.npz)",
+        help="picture of polar and fan views with axes (other commands read FRAME.npz, not this)",
     )  # fmt: skip
     add_mesh_options(command)
     command.add_argument(
         "--sub-beams", metavar="N", type=partial(count, high=MAX_SUB_BEAMS),
-        help=f"azimuth parts of a beam, 1 to {MAX_SUB_BEAMS} (default: 2)",
+        help=f"number of parts of a beam in azimuth, 1 to {MAX_SUB_BEAMS} (default: 2)",
     )  # fmt: skip
 
 
@@ -63,5 +63,5 @@ def run(args: argparse.Namespace) -> int:
 
         save_figure(plot_frame(frame, sonar), args.png)
     if not frame.labels().any():
-        complain(f"{args.mesh}: nothing of it is in the sonar's view at x {args.x:g} m, y {args.y:g} m", "note: ")
+        complain(f"{args.mesh}: no part of it is in the sonar's view at x {args.x:g} m, y {args.y:g} m", "note: ")
     return 0

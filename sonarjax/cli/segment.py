@@ -13,12 +13,12 @@ from sonarjax.io import SonarjaxError, check_label_files, complain, make_folder,
 
 def add(commands: Any) -> None:
     """Add the command's arguments to the parser's `commands`."""
-    command = commands.add_parser("segment", help="background, highlight and shadow of frames", epilog=EXITS)
+    command = commands.add_parser("segment", help="label background, highlight and shadow in frames", epilog=EXITS)
     command.set_defaults(run=run)
     command.add_argument("frames", metavar="FRAME", nargs="+", help=FRAME_HELP)
     command.add_argument(
         "--out-dir", metavar="DIR", required=True,
-        help="folder, made if missing; labels_<stem>.npz with `labels`: 0 background, 1 highlight, 2 shadow",
+        help="output folder, created if missing: labels_<stem>.npz with `labels`, 0 background, 1 highlight, 2 shadow",
     )  # fmt: skip
 
 
@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
             code = 1
             continue
         if written.setdefault(frame.stem, name) != name:
-            raise SonarjaxError(f"{name}: its labels would overwrite those of {written[frame.stem]}: same stem")
+            raise SonarjaxError(f"{name}: its labels would overwrite those of {written[frame.stem]} (same stem)")
         path = os.path.join(args.out_dir, f"labels_{frame.stem}.npz")
         write_npz(path, labels=labels)
     return code

@@ -32,7 +32,7 @@ def mesh_files(given: Sequence[str], option: str) -> dict[str, str]:
             stem = Path(path).stem
             if stem in files:
                 raise SonarjaxError(
-                    f"{option}: {files[stem]} and {path} are both called {stem!r}: expected names that differ"
+                    f"{option}: {files[stem]} and {path} are both called {stem!r}: expected different names"
                 )
             files[stem] = path
     return files
@@ -42,7 +42,7 @@ def _of_folder(folder: Path, option: str) -> list[str]:
     found = sorted(path for path in folder.iterdir() if path.suffix.lower() in MESH_ENDINGS and path.is_file())
     if not found:
         endings = ", ".join(MESH_ENDINGS)
-        raise SonarjaxError(f"{option}: {folder}: expected a folder of meshes, there is no {endings} file in it")
+        raise SonarjaxError(f"{option}: {folder}: expected a folder of meshes, found no {endings} file")
     return [str(path) for path in found]
 
 
@@ -64,5 +64,5 @@ def load_mesh(path: str, sonar: Any, args: argparse.Namespace) -> Any:
     check_fits(mesh, sonar, path)
     found = reduced_for(mesh, sonar, args.mesh_tolerance)
     if found.after < found.before:
-        complain(f"{path}: {found}; --mesh-tolerance 0 keeps all", kind="note: ")
+        complain(f"{path}: {found}; --mesh-tolerance 0 keeps all triangles", kind="note: ")
     return found.mesh

@@ -15,14 +15,14 @@ def add(commands: Any) -> None:
     command.set_defaults(run=run)
     command.add_argument(
         "--preset", choices=("smoke", "cpu", "paper-cpu", "paper"), required=True,
-        help="smoke: does it run; cpu: the recipe of the shipped weights; paper-cpu: the paper's, eq. 3 alone and 30 "
-        "epochs, at width 16; paper: the same at full width, for a GPU",
+        help="smoke: a short test run; cpu: the recipe of the shipped weights; paper-cpu: the paper's recipe (eq. 3 "
+        "alone, 30 epochs) at width 16; paper: the same at full width, for a GPU",
     )  # fmt: skip
     command.add_argument(
         "--run-dir", metavar="RUN", required=True,
-        help="folder, made if missing: checkpoints, TensorBoard events, metrics.jsonl, samples, weights.safetensors",
+        help="output folder: checkpoints, TensorBoard events, metrics.jsonl, samples, weights.safetensors",
     )  # fmt: skip
-    command.add_argument("--resume", action="store_true", help="go on from the last checkpoint in RUN, if there is one")
+    command.add_argument("--resume", action="store_true", help="continue from the last checkpoint in RUN, if any")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -34,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
     keep_memory()  # allocating a step's memory anew would take a third of the step
     result = train(args.preset, args.run_dir, resume=args.resume, engine=CpuEngine())
     if not result.finished:
-        complain(f"stopped after step {result.step}; --resume goes on from there", "")
+        complain(f"stopped after step {result.step}; --resume continues from there", "")
         return 130
     say(f"{result.weights}: " + ", ".join(f"{name} {value:.3f}" for name, value in result.metrics.items()))
     return 0

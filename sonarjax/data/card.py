@@ -21,17 +21,18 @@ COLORS = np.array(
 """Colours given to the objects in turn, from the palette of Okabe and Ito, which colour-blind people can tell apart."""
 SHADE = 0.45
 """Brightness of an object's shadow, as a share of that of its highlight."""
-UNSTATED = "none stated by whoever made this data set; the meshes' own licences apply to what shows them"
+UNSTATED = "none was named for this data set; the licence of each mesh still applies to the frames that show it"
 CONTENTS = {
-    "png": "`images/` the frames, `labels/` 0 shadow, 128 background, 255 highlight, `instances/` 0 background, k the "
-    "k-th object's highlight or shadow",
-    "npz": "`frames/` one NPZ a frame: `image`, `labels` (0 background, 1 highlight, 2 shadow), `instances`, "
-    "`highlight_masks` and `shadow_masks` (object, range, beam), `boxes` (object, highlight and shadow, 4), `mesh`, "
-    "`pose` (x [m], y [m], yaw [rad]), `azimuth_deg`, `range_edges_m`",
-    "coco": "`images/` the frames, `annotations.json` in COCO's form: a box and a mask (run lengths) for each object's "
-    "highlight and for its shadow, `instance` says which belong together",
-    "yolo": "`images/` the frames, `labels/` a line for each box: category, middle and size as shares, `data.yaml` the "
-    "categories (frames are not split: `train` and `val` name the same folder until you change it)",
+    "png": "`images/` holds the frames. `labels/` holds their label maps: 0 shadow, 128 background, 255 highlight. "
+    "`instances/` says which object a pixel belongs to: 0 background, k the highlight or shadow of object k",
+    "npz": "`frames/` holds an NPZ file for each frame: `image`, `labels` (0 background, 1 highlight, 2 shadow), "
+    "`instances`, `highlight_masks` and `shadow_masks` (object, range, beam), `boxes` (object, "
+    "highlight and shadow, 4), `mesh`, `pose` (x [m], y [m], yaw [rad]), `azimuth_deg`, `range_edges_m`",
+    "coco": "`images/` holds the frames. `annotations.json` is in COCO's format, with one annotation for an object's "
+    "highlight and one for its shadow: box and mask (run lengths). Both have the object's number as `instance`",
+    "yolo": "`images/` holds the frames. `labels/` has a text file for each frame, with one line for each box: "
+    "category, then centre and size as shares of the image. `data.yaml` names the categories. The frames "
+    "are not split: `train` and `val` name the same folder until you change that",
 }
 
 
@@ -77,9 +78,9 @@ def card_text(facts: dict[str, Any], summary: Summary, axes: Axes) -> str:
     reached = [f"| {name} | {low:.4g} | {high:.4g} |" for name, (low, high) in summary.ranges.items()]
     made = [
         f"- Key {facts['key']}, {settings['sensor']} sensor at severity {settings['severity']:g}, up to "
-        f"{settings['scenes']} objects a frame, {settings['quality']['sub_beams']} parts of a beam, "
-        f"{settings['quality']['elevations']} elevation cells.",
-        *(f"- Mesh {one['name']}: {one['triangles']} triangles, SHA-256 begins {one['sha256']}." for one in
+        f"{settings['scenes']} objects in a frame, {settings['quality']['sub_beams']} sub-beams in a "
+        f"beam, {settings['quality']['elevations']} elevation cells.",
+        *(f"- Mesh {one['name']}: {one['triangles']} triangles, SHA-256 starts with {one['sha256']}." for one in
           facts["meshes"]),
         "- The sonar is in `sonar.toml`; each frame's objects, poses, boxes and sensor parameters are in "
         "`manifest.jsonl`.",
@@ -87,20 +88,21 @@ def card_text(facts: dict[str, Any], summary: Summary, axes: Axes) -> str:
     return "\n".join([
         "# Simulated sonar frames", "",
         f"{summary.frames} frames of {shape[0]} range bins by {shape[1]} beams ({numbers} objects), format "
-        f"{facts['format']}. Made by `sonarjax dataset`: no real frame is among them.", "",
-        "![The first frames, and what is in them](contact_sheet.png)", "",
-        "Each frame, and beside it what is seen of its objects: highlight in an object's colour, shadow darker.", "",
+        f"{facts['format']}. Made by `sonarjax dataset`: all of them are simulated.", "",
+        "![The first frames and their objects](contact_sheet.png)", "",
+        "Each frame is shown twice. In the second picture each object has a colour: bright for its highlight, dark for "
+        "its shadow.", "",
         f"Licence: {facts['license'] or UNSTATED}.", "",
         "## Files", "", CONTENTS[facts["format"]] + ".", "",
-        "Row 0 is the nearest range bin, column 0 the starboard-most beam. A pixel belongs to the class with the "
-        "largest share of it, and to the object with the largest share of that class. Floor outside the vertical "
-        "aperture is background. Boxes are [left, top, width, height] in pixels.", "",
+        "Row 0 is the nearest range bin, column 0 the starboard-most beam. A pixel has the class that covers most of "
+        "it, and belongs to the object with the largest share of that class. Floor outside the vertical aperture is "
+        "background. Boxes are [left, top, width, height] in pixels.", "",
         "## Counts", "", "| mesh | placed | highlight seen | shadow seen |", "| --- | --- | --- | --- |", *counts, "",
         "## Settings", "", *made, "",
-        "## Ranges", "", "Least and largest value over the frames: poses, then the sensor model's fields.", "",
-        "| what | least | largest |", "| --- | --- | --- |", *reached, "",
-        f"Frame k depends on the key and k alone; frames are made in chunks of {CHUNK}, of which `parts/` keeps the "
-        "lines.", "",
+        "## Ranges", "", "Smallest and largest value over all frames: poses, then fields of the sensor model.", "",
+        "| what | smallest | largest |", "| --- | --- | --- |", *reached, "",
+        f"Frame k depends only on the key and on k. Frames are made in chunks of {CHUNK}; `parts/` keeps the manifest "
+        "lines of each chunk.", "",
     ])  # fmt: skip
 
 

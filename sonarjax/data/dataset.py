@@ -226,13 +226,13 @@ def _take_up(target: Path, facts: dict[str, Any]) -> None:
             if not isinstance(old, dict) or old.get(name) != value:
                 was = old.get(name) if isinstance(old, dict) else None
                 raise SonarjaxError(
-                    f"{target}: holds a data set made otherwise: {name} is {json.dumps(was)}, now "
-                    f"{json.dumps(value)}: expected another folder, or the same settings to go on"
+                    f"{target}: holds a data set with another {name}: {json.dumps(was)}, now {json.dumps(value)}: "
+                    "expected another folder, or the same settings to continue"
                 )
         return
     make_folder(str(target))
     if any(not name.startswith(".") for name in os.listdir(target)):
-        raise SonarjaxError(f"{target}: expected an empty folder, or one that holds the same data set")
+        raise SonarjaxError(f"{target}: expected an empty folder, or one with the same data set")
     for name in (PARTS, "images", "labels", "instances", "frames"):
         if name in _FOLDERS[facts["format"]]:
             make_folder(str(target / name))

@@ -56,7 +56,7 @@ def export_pairs(
     try:
         target.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise SonarjaxError(f"{target}: cannot be made a folder: {reason(error)}") from error
+        raise SonarjaxError(f"{target}: cannot create the folder: {reason(error)}") from error
     origin: dict[str, Any] = {} if settings is None else {"settings": dataclasses.asdict(settings)}
     if key is not None:
         origin["key"] = np.asarray(jax.random.key_data(key)).tolist()
@@ -87,7 +87,7 @@ def import_pairs(folder: str | os.PathLike[str]) -> Pairs:
     text = read_bytes(manifest).decode("utf-8", "replace")
     lines = [(f"{manifest}:{number}", line) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
     if not lines:
-        raise SonarjaxError(f"{manifest}: expected one JSON object a line, it has none")
+        raise SonarjaxError(f"{manifest}: expected one JSON object on each line, the file has none")
     pairs = [_read_pair(source, *_names(line, where), where) for where, line in lines]
     return Pairs(*(jnp.asarray(np.stack(part)) for part in zip(*pairs, strict=True)))
 

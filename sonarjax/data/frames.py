@@ -128,8 +128,8 @@ def draw_chunk(
                 kept[places] = new[: len(places)]
     if (found.overflow > 0).any():
         raise SonarjaxError(
-            f"data set: frames {chunk * CHUNK} and on: {found.overflow.max()} triangles of a slice have no room: "
-            "expected a simpler mesh"
+            f"data set: frames from {chunk * CHUNK} on: expected a simpler mesh: one slice crosses "
+            f"{found.overflow.max()} triangles too many"
         )
     return found
 

@@ -76,7 +76,7 @@ def placement_limits(sonar: Sonar, name: str = "sonar") -> Limits:
     far = min(high, height / math.sin(flat)) if flat > 0 else high
     if not near < far:
         raise SonarjaxError(
-            f"{name}: the sonar sees no floor: expected tilt_deg, height_m and elevation_aperture_deg that light floor "
+            f"{name}: the sonar sees no floor: expected tilt_deg, height_m and elevation_aperture_deg that light it "
             f"at ranges from {low:g} to {high:g} m"
         )
     margin = (1 - OUTERMOST) / 2 * (far - near)

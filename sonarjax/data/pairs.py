@@ -87,7 +87,7 @@ def split_key(run_seed: int, split: str) -> Array:
         SonarjaxError: The split is unknown.
     """
     if split not in SPLITS:
-        raise SonarjaxError(f"pairs: expected a split of {', '.join(SPLITS)}, got {split!r}")
+        raise SonarjaxError(f"pairs: split: expected one of {', '.join(SPLITS)}, got {split!r}")
     return fold_in(jax.random.key(run_seed), SPLITS[split])
 
 
@@ -107,7 +107,7 @@ def make_pairs(
         SonarjaxError: `count` is below 1 or `first` below 0.
     """
     if count < 1 or first < 0:
-        raise SonarjaxError(f"pairs: expected a count of 1 or more from number 0 on, got {count} from {first}")
+        raise SonarjaxError(f"pairs: expected count of 1 or more and first of 0 or more, got {count} and {first}")
     size = CHUNK if jax.default_backend() == "cpu" else VMAPPED
     starts = list(range(first, first + count, size))
 

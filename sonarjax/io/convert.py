@@ -51,13 +51,13 @@ class FanOptions:
 FAN_OPTIONS = {
     "--opening-deg": ("D", "full angle of the fan, to the outer edges of the outer beams [deg]"),
     "--range-min": ("M", "range at which the fan begins [m]"),
-    "--range-max": ("M", "range at which it ends [m]"),
+    "--range-max": ("M", "range at which the fan ends [m]"),
     "--bins": ("N", "to polar: range bins (default: rows of the fan along its middle)"),
     "--beams": ("N", "to polar: beams (default: columns along the fan's arc at mid range)"),
-    "--apex": ("ROW", "to polar: row of the picture at which the sonar is (default: from the fan's lower edge)"),
+    "--apex": ("ROW", "to polar: row of the picture where the sonar is (default: found from the fan's lower edge)"),
     "--whole": (None, "to polar: the sonar is at the picture's lower edge"),
-    "--frame": (None, "to polar: the fan just fits the picture (default: the bounding box of its pixels above 0)"),
-    "--width": ("N", "to fan: columns of the picture (default: pixels as small as the lesser of a bin and a beam)"),
+    "--frame": (None, "to polar: the fan fills the picture (default: the bounding box of its pixels above 0)"),
+    "--width": ("N", "to fan: columns of the picture (default: pixels the size of a bin, or of a beam if smaller)"),
 }
 """Command-line option for each field of FanOptions -> its argument (None for a switch) and its help text."""
 SECTOR = ("opening_deg", "range_min", "range_max")
@@ -73,7 +73,7 @@ def one_frame(spec: str) -> Frame:
     """
     frame = next(iter_frames(spec))
     if frame.meta["n_frames"] > 1 and split_spec(spec).number is None:
-        raise SonarjaxError(f"{spec}: expected one frame, it holds {frame.meta['n_frames']}: give {spec}:N")
+        raise SonarjaxError(f"{spec}: expected one frame, the file holds {frame.meta['n_frames']}: give {spec}:N")
     return frame
 
 
@@ -88,7 +88,7 @@ def to_bag(specs: Sequence[str], out: str, options: FanOptions = FanOptions()) -
     """
     for name in FanOptions.__dataclass_fields__:
         if getattr(options, name) not in (None, False):
-            raise SonarjaxError(f"{_option(name)}: expected none with a bag as --out, got {out!r}")
+            raise SonarjaxError(f"{_option(name)}: cannot be used with the bag {out!r} as --out")
     count = write_bag(out, chain.from_iterable(map(iter_frames, specs)))
     return f"{out}: {count} frame{'' if count == 1 else 's'}"
 
@@ -111,7 +111,7 @@ def convert(frame: Frame, out: str, options: FanOptions = FanOptions()) -> str:
     for name in TO_FAN if ending == ".npz" else TO_POLAR:
         if getattr(options, name) not in (None, False):
             other = "png" if ending == ".npz" else "npz"
-            raise SonarjaxError(f"{_option(name)}: expected only with a .{other} as --out, got {out!r}")
+            raise SonarjaxError(f"{_option(name)}: can only be used with a .{other} file as --out, got {out!r}")
     try:
         return (_to_polar if ending == ".npz" else _to_fan)(frame, out, options)
     except SonarjaxError as error:  # add the file to a message about its fan or an option
@@ -129,7 +129,7 @@ def _to_polar(picture: Frame, out: str, options: FanOptions) -> str:
     shape = options.bins or shape[0], options.beams or shape[1]
     image, mask = fan_to_polar(picture.image, geometry, shape)
     if not mask.any():
-        raise SonarjaxError("fan: expected some of it in the picture, it lies outside")
+        raise SonarjaxError("fan: expected a fan that overlaps the picture, it lies outside")
     azimuth_deg, edges = np.degrees(geometry.azimuth(shape[1])), geometry.range_edges(shape[0])
     write_npz(out, image=image, mask=mask, azimuth_deg=azimuth_deg, range_edges_m=edges)
     size = f"{shape[0]} range bins x {shape[1]} beams"
@@ -157,7 +157,7 @@ def _axes(polar: Frame, options: FanOptions) -> tuple[np.ndarray, np.ndarray]:
         return equal_beams(math.radians(opening_deg), beams), np.linspace(near, far, bins + 1)
     for name in SECTOR:
         if getattr(options, name) is not None:
-            raise SonarjaxError(f"{_option(name)}: expected none, the file says it itself")
+            raise SonarjaxError(f"{_option(name)}: cannot be used: the file itself holds this value")
     edges = np.linspace(held["range_min_m"], held["range_max_m"], bins + 1)
     return np.radians(held["azimuth_deg"]), edges
 
@@ -176,7 +176,7 @@ def _sector(options: FanOptions, what: str) -> tuple[float, float, float]:
     """Opening [deg], nearest and farthest range [m]; `what`, for the message, needs all three."""
     values = [getattr(options, name) for name in SECTOR]
     if None in values:
-        raise SonarjaxError(f"{_option(SECTOR[values.index(None)])}: expected with {what}")
+        raise SonarjaxError(f"{_option(SECTOR[values.index(None)])}: required for {what}")
     return values[0], values[1], values[2]
 
 

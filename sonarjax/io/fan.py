@@ -227,5 +227,5 @@ def _check_axis(name: str, values: np.ndarray, length: int) -> None:
 def _checked(shape: tuple[int, ...]) -> tuple[int, int]:
     rows, columns = shape
     if rows < 1 or columns < 1 or rows * columns > PIXEL_LIMIT:
-        raise SonarjaxError(f"fan: shape: expected 1 x 1 to {PIXEL_LIMIT} pixels in all, got {rows} x {columns}")
+        raise SonarjaxError(f"fan: shape: expected 1 x 1 to {PIXEL_LIMIT} pixels in total, got {rows} x {columns}")
     return rows, columns

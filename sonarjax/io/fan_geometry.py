@@ -131,7 +131,7 @@ def fit_fan(
     """
     half, top, bottom = _extent(float(opening), float(range_min), float(range_max))
     if not (box.bottom > box.top and box.right > box.left):
-        raise SonarjaxError(f"fan: expected a box with an inside, got {tuple(box)}")
+        raise SonarjaxError(f"fan: expected a box of non-zero size, got {tuple(box)}")
     if apex_row is None:
         row_m = (top - bottom) / (box.bottom - box.top)
     elif apex_row > box.top:

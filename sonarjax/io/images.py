@@ -48,7 +48,7 @@ def _unit_integers(values: np.ndarray, name: str) -> Float32[np.ndarray, "range 
     if values.dtype.itemsize > 4:
         raise SonarjaxError(f"{name}: image: dtype: expected 8, 16 or 32 bits or float, got {values.dtype}")
     if values.min() < 0:
-        raise SonarjaxError(f"{name}: image: expected values from 0 on, got {values.min()}")
+        raise SonarjaxError(f"{name}: image: expected values of 0 or more, got {values.min()}")
     return values.astype(np.float32) / np.float32(np.iinfo(values.dtype).max)
 
 
@@ -62,7 +62,7 @@ def bool_mask(values: np.ndarray, shape: tuple[int, int], name: str) -> Bool[np.
     if values.dtype.kind not in "biuf" or not ((values == 0) | (values == 1)).all():
         raise SonarjaxError(f"{name}: mask: expected booleans (true where measured), got other {values.dtype} values")
     if not values.any():
-        raise SonarjaxError(f"{name}: mask: expected at least one measured pixel, it is false everywhere")
+        raise SonarjaxError(f"{name}: mask: expected at least one measured pixel, the mask is false everywhere")
     return np.ascontiguousarray(values != 0)
 
 

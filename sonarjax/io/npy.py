@@ -63,7 +63,7 @@ def npy_header(data: bytes, name: str, field: str = "array") -> NpyHeader:
         raise SonarjaxError(f"{name}: {field}: dtype: expected bool, integer or float, got {_short_text(str(dtype))}")
     if min(shape, default=0) < 0 or math.prod(shape) > PIXEL_LIMIT:
         got = _short_text(str(shape))
-        raise SonarjaxError(f"{name}: {field}: shape {got}: expected at most {PIXEL_LIMIT} numbers, none below 0")
+        raise SonarjaxError(f"{name}: {field}: shape {got}: expected at most {PIXEL_LIMIT} numbers, no length below 0")
     return NpyHeader(dtype, shape, fortran, file.tell())
 
 
@@ -80,7 +80,7 @@ def parse_npy(data: bytes, name: str, field: str = "array") -> np.ndarray:
     header = npy_header(data, name, field)
     if header.offset + header.n_bytes > len(data):
         there = len(data) - header.offset
-        raise SonarjaxError(f"{name}: {field}: truncated: expected {header.n_bytes} bytes of numbers, {there} follow")
+        raise SonarjaxError(f"{name}: {field}: truncated: expected {header.n_bytes} bytes of numbers, got {there}")
     flat = np.frombuffer(data, header.dtype, math.prod(header.shape), header.offset)
     return flat.reshape(header.shape, order="F" if header.fortran else "C")
 
@@ -95,7 +95,7 @@ class NpzArchive:
             self._zip = zipfile.ZipFile(io.BytesIO(data))
             members = self._zip.infolist()
         except Exception as error:  # zipfile raises many types on corrupt directories
-            raise SonarjaxError(f"{name}: expected an NPZ (zip) file that is complete: {_line(error)}") from error
+            raise SonarjaxError(f"{name}: expected a complete NPZ (zip) file: {_line(error)}") from error
         self._members = {info.filename.removesuffix(".npy"): info for info in members}
 
     @property
@@ -112,7 +112,7 @@ class NpzArchive:
         header = self.header(key)
         content, more = self._read(key, header.offset + header.n_bytes)
         if more:
-            raise SonarjaxError(f"{self.name}: {key}: expected {header.n_bytes} bytes of numbers, more follow")
+            raise SonarjaxError(f"{self.name}: {key}: expected {header.n_bytes} bytes of numbers, got more")
         return parse_npy(content, self.name, key)
 
     def _read(self, key: str, size: int) -> tuple[bytes, bool]:

@@ -118,7 +118,7 @@ def oculus_starts(data: Content, name: str) -> list[int | SonarjaxError]:
             starts.append(position)
         elif not complete and not starts:
             there = len(data) - position - FIRE_AT
-            raise header.error("payload", f"truncated: expected {payload} bytes, {there} follow")
+            raise header.error("payload", f"truncated: expected {payload} bytes, got {there}")
         position += FIRE_AT + payload
     if not starts:
         raise Header(data, name).error("message", f"expected a ping result (0x{SIMPLE_PING:02x}), found none")
@@ -189,7 +189,7 @@ def _columns(
     if ping.n_beams > 1 and azimuth[0] > azimuth[-1]:
         azimuth, image = azimuth[::-1], np.ascontiguousarray(image[:, ::-1])
     if np.any(np.diff(azimuth) <= 0) or np.abs(azimuth).max() > 180.0:
-        raise header.error("bearings", "expected angles within 180 deg that all grow or all fall")
+        raise header.error("bearings", "expected angles within 180 deg in ascending or descending order")
     return azimuth, image
 
 

@@ -67,7 +67,7 @@ def _check_stems(paths: Sequence[str]) -> None:
     for path in paths:
         other = taken.setdefault(_stem(path), path)
         if other != path and not same_file(other, path):
-            raise SonarjaxError(f"{path}: its labels would overwrite those of {other}: same stem")
+            raise SonarjaxError(f"{path}: its labels would overwrite those of {other} (same stem)")
 
 
 def _stem(path: str) -> str:

@@ -169,7 +169,7 @@ def _rosbags() -> SimpleNamespace:
     try:
         from rosbags import highlevel, rosbag1, rosbag2, typesys
     except ImportError as error:
-        raise SonarjaxError("rosbags: reading and writing bags needs it: pip install 'sonarjax[ros]'") from error
+        raise SonarjaxError("rosbags: bags need this package: pip install 'sonarjax[ros]'") from error
     return SimpleNamespace(highlevel=highlevel, rosbag1=rosbag1, rosbag2=rosbag2, typesys=typesys)
 
 

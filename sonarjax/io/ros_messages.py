@@ -108,9 +108,9 @@ def frame_fields(frame: Frame, time_ns: int) -> SimpleNamespace:
     geometry = frame.geometry or {}
     for key in ("azimuth_deg", "range_min_m", "range_max_m"):
         if key not in geometry:
-            raise SonarjaxError(f"{frame.source}: {key}: expected the sonar's geometry, which the frame does not tell")
+            raise SonarjaxError(f"{frame.source}: {key}: expected the sonar's geometry, which the frame does not hold")
     if frame.mask is not None and not frame.mask.all():
-        raise SonarjaxError(f"{frame.source}: mask: expected a frame that is measured everywhere")
+        raise SonarjaxError(f"{frame.source}: mask: expected a frame without unmeasured pixels")
     azimuth = np.radians(np.asarray(geometry["azimuth_deg"], np.float64))
     n_ranges, n_beams = frame.shape
     step = (geometry["range_max_m"] - geometry["range_min_m"]) / n_ranges
@@ -132,7 +132,7 @@ def _azimuth(name: str, directions: Any) -> np.ndarray:
     if not len(vectors):
         raise SonarjaxError(f"{name}: beam_directions: expected at least one beam")
     if not np.isfinite(vectors).all() or (np.linalg.norm(vectors, axis=1) < 1e-6).any():
-        raise SonarjaxError(f"{name}: beam_directions: expected finite directions with a length")
+        raise SonarjaxError(f"{name}: beam_directions: expected finite directions of non-zero length")
     x, y, z = vectors.T
     if np.abs(np.arctan2(x, np.hypot(y, z))).max() > OUT_OF_PLANE:
         raise SonarjaxError(f"{name}: beam_directions: expected beams in the Y-Z plane (X up), got one that leaves it")
@@ -142,7 +142,7 @@ def _azimuth(name: str, directions: Any) -> np.ndarray:
 def _window(name: str, ranges: np.ndarray) -> tuple[float, float]:
     """Near and far edge [m] of range bins with these centres (range,)."""
     if len(ranges) < 2 or not np.isfinite(ranges).all() or ranges[-1] <= ranges[0] or abs(ranges[-1]) > RANGE_LIMIT_M:
-        raise SonarjaxError(f"{name}: ranges: expected two or more growing ranges, at most {RANGE_LIMIT_M:g} m")
+        raise SonarjaxError(f"{name}: ranges: expected two or more ascending ranges of at most {RANGE_LIMIT_M:g} m")
     step = (ranges[-1] - ranges[0]) / (len(ranges) - 1)
     if np.abs(ranges - (ranges[0] + step * np.arange(len(ranges)))).max() > UNEVEN * step:
         raise SonarjaxError(f"{name}: ranges: expected range bins of equal length")
@@ -158,7 +158,7 @@ def _pixels(name: str, image: Any, n_ranges: int, n_beams: int) -> Float32[np.nd
     if not 0 <= image.dtype < len(DTYPES):
         raise SonarjaxError(f"{name}: image.dtype: expected 0 to {len(DTYPES) - 1}, got {image.dtype}")
     if image.beam_count != n_beams:
-        raise SonarjaxError(f"{name}: image.beam_count: expected {n_beams}, a direction each, got {image.beam_count}")
+        raise SonarjaxError(f"{name}: image.beam_count: expected {n_beams}, one per direction, got {image.beam_count}")
     stored = np.dtype((">" if image.is_bigendian else "<") + DTYPES[image.dtype])
     data = np.asarray(image.data, np.uint8)
     if data.size != n_ranges * n_beams * stored.itemsize:
@@ -168,7 +168,5 @@ def _pixels(name: str, image: Any, n_ranges: int, n_beams: int) -> Float32[np.nd
     if stored.kind != "f":
         values /= np.iinfo(stored).max
     if not (np.isfinite(values).all() and values.min() >= 0.0 and values.max() <= 1.0):
-        raise SonarjaxError(
-            f"{name}: image.data: expected finite values that are not negative, floating point at most 1"
-        )
+        raise SonarjaxError(f"{name}: image.data: expected finite values of 0 or more, at most 1 if floating point")
     return values.astype(np.float32)

@@ -43,9 +43,9 @@ class LeanSearchConfig:
     def __post_init__(self) -> None:
         """Raise a SonarjaxError for counts below 1, no lift, or angles that are not positive."""
         if min(self.yaw_bins, self.candidates) < 1 or not self.lifts:
-            raise SonarjaxError(f"LeanSearchConfig: expected counts of 1 or more and a lift, got {self}")
+            raise SonarjaxError(f"LeanSearchConfig: expected counts of 1 or more and at least one lift, got {self}")
         if not (0 < self.lean < math.pi / 2 and 0 < self.apart < math.pi):
-            raise SonarjaxError(f"LeanSearchConfig: expected lean and apart to be positive angles, got {self}")
+            raise SonarjaxError(f"LeanSearchConfig: expected positive angles for lean and apart, got {self}")
 
 
 class LeanMatch(NamedTuple):

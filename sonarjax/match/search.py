@@ -254,7 +254,7 @@ def _ground_ranges(sonar: Sonar, step: float) -> np.ndarray:
     height, half = float(sonar.height), float(sonar.elevation_aperture) / 2
     steep, flat = float(sonar.tilt) + half, max(float(sonar.tilt) - half, 1e-3)
     if steep <= 0:
-        raise SonarjaxError("sonar: it looks up: no part of the floor is inside its aperture")
+        raise SonarjaxError("sonar: it looks upwards: no part of the floor is inside its aperture")
     nearest = max(height / math.tan(min(steep, math.pi / 2 - 1e-3)), _ground(float(sonar.range_min), height))
     farthest = min(height / math.tan(flat), _ground(float(sonar.range_max), height))
     if farthest <= nearest:
@@ -263,8 +263,8 @@ def _ground_ranges(sonar: Sonar, step: float) -> np.ndarray:
     if count > MAX_DISTANCES:
         raise SonarjaxError(
             f"sonar: the floor in view reaches from {nearest:.4g} to {farthest:.4g} m, {count} distances of "
-            f"{step:g} m; expected at most {MAX_DISTANCES}: give a narrower range_min_m to range_max_m, "
-            "or more tilt_deg"
+            f"{step:g} m; expected at most {MAX_DISTANCES}: give a narrower window "
+            "(range_min_m to range_max_m) or a larger tilt_deg"
         )
     return np.arange(nearest, farthest + step, step)
 

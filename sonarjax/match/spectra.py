@@ -81,7 +81,7 @@ def check_shapes(templates: tuple[int, ...], image: tuple[int, ...]) -> None:
     if len(image) != 2 or 0 in image:
         raise SonarjaxError(f"image: expected shape (range, beam), got {tuple(image)}")
     if len(templates) != 3 or 0 in templates:
-        raise SonarjaxError(f"templates: expected shape (yaw, h, w), none of them 0, got {tuple(templates)}")
+        raise SonarjaxError(f"templates: expected shape (yaw, h, w) without zeros, got {tuple(templates)}")
     if templates[1] > image[0] or templates[2] > image[1]:
         raise SonarjaxError(
             f"templates: {templates[1]} x {templates[2]} pixels are larger than the image, {image[0]} x {image[1]}"

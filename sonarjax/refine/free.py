@@ -57,7 +57,7 @@ def in_order(free: Sequence[str], known: Iterable[str]) -> tuple[str, ...]:
     unknown = [name for name in names if name not in order]
     if unknown or not names or len(set(names)) < len(names):
         what = f"unknown {unknown[0]!r}" if unknown else f"got {names}"
-        raise SonarjaxError(f"free: expected different names of: {', '.join(order)}; {what}")
+        raise SonarjaxError(f"free: expected names from this list, each once: {', '.join(order)}; {what}")
     return tuple(name for name in order if name in names)
 
 

@@ -138,7 +138,7 @@ def _refine_views(
 ) -> PoseEstimate:  # fmt: skip
     """`refine_pose` for several views."""
     if is_traced(images, mask, mesh, sonar, start, sonar_poses):
-        raise SonarjaxError("sonar_poses: several views are refined on the host: nothing may be traced")
+        raise SonarjaxError("sonar_poses: expected no traced values, because views are refined on the host")
     images, sonars = np.asarray(images, np.float32), check_views(images, sonar_poses, start, sonar)
     weights = np.ones(images.shape, np.float32) if mask is None else np.asarray(mask, np.float32)
     if weights.shape != images.shape:

@@ -335,7 +335,7 @@ def check_views(images: Any, sonar_poses: Pose, start: Pose, sonar: Sonar) -> np
     if sonar_poses.shape != np.shape(images)[:1]:
         raise SonarjaxError(f"sonar_poses: expected one pose for each of {len(images)} views, got {sonar_poses.shape}")
     if any(np.asarray(getattr(sonar_poses, name)).any() for name in ("z", "roll", "pitch")):
-        raise SonarjaxError("sonar_poses: expected z, roll and pitch of 0: height, tilt and roll are the sonar's own")
+        raise SonarjaxError("sonar_poses: expected z, roll and pitch of 0: the sonar itself has height, tilt and roll")
     if len(start.shape) > 1:
         raise SonarjaxError(f"start: expected one pose or one axis of poses for all views, got shape {start.shape}")
     return np.stack([np.asarray(v, float) for v in (sonar_poses.x, sonar_poses.y, sonar_poses.yaw)], axis=1)

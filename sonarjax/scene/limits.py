@@ -49,7 +49,7 @@ def check_coordinates(vertices: Float[np.ndarray, "vertex 3"], name: str) -> Non
     if farthest > FARTHEST_VERTEX_M:
         raise SonarjaxError(
             f"{name}: the mesh lies {farthest:.4g} m from its own origin; expected at most {FARTHEST_VERTEX_M:g} m: "
-            "move it to the origin, the pose places it"
+            "move the mesh to its origin, and place it with the pose"
         )
 
 

@@ -36,7 +36,7 @@ def check_mesh_file(path: Path) -> None:
     check_size(str(path), size, min(MESH_LIMIT, size_limit()))
     ending = path.suffix.lower()
     if ending in PACKED:
-        raise SonarjaxError(f"{path}: expected a mesh file, this is packed: unpack it")
+        raise SonarjaxError(f"{path}: expected a mesh file, this is compressed: unpack it first")
     with open(path, "rb") as file:
         start = file.read(HEADER_BYTES)
     if ending == ".stl":
@@ -54,11 +54,11 @@ def reading_problem(path: Path, error: Exception) -> SonarjaxError:
     ending = path.suffix.lower()
     kind = ending.removeprefix(".").upper()
     if isinstance(error, MemoryError):
-        return SonarjaxError(f"{path}: cannot be read as a mesh: too large for the free memory")
+        return SonarjaxError(f"{path}: cannot be read as a mesh: not enough free memory")
     if isinstance(error, (ImportError, UnicodeError)) and ending in PLAIN:
         return SonarjaxError(f"{path}: cannot be read as a mesh: corrupt, or not {kind} (its text is not UTF-8)")
     if isinstance(error, ImportError):
-        return SonarjaxError(f"{path}: to read {kind} files the Python package {error.name} is needed")
+        return SonarjaxError(f"{path}: reading {kind} files needs the Python package {error.name}")
     reason = " ".join(str(error).split())[:160] or type(error).__name__
     return SonarjaxError(f"{path}: cannot be read as a mesh ({reason})")
 
@@ -71,8 +71,8 @@ def _check_stl(path: Path, start: bytes, size: int) -> None:
         check_face_count(count, str(path))
     elif b"\0" in start or not start.lstrip().lower().startswith(b"solid"):
         raise SonarjaxError(
-            f"{path}: not an STL file, or corrupt: as binary STL its header announces {count} triangles in {expected} "
-            f"bytes, the file has {size}; as text it would open with 'solid'"
+            f"{path}: not an STL file, or corrupt: a binary STL with this header has {count} triangles in {expected} "
+            f"bytes, the file has {size}; a text STL starts with 'solid'"
         )
 
 
@@ -96,7 +96,7 @@ def _check_gltf(path: Path, start: bytes) -> None:
         return  # trimesh will say what is wrong
     if sum(counts) > 16 * MAX_FACES:
         raise SonarjaxError(
-            f"{path}: accessors: expected at most {16 * MAX_FACES} values in all, the header announces {sum(counts)}"
+            f"{path}: accessors: expected at most {16 * MAX_FACES} values in total, the header lists {sum(counts)}"
         )
 
 

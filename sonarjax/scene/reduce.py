@@ -66,7 +66,7 @@ class Reduction:
     def __str__(self) -> str:
         """Summary in one line, for a log."""
         if self.after == self.before:
-            return f"{self.before} triangles, kept as they are: few can go within {self.tolerance:.2g} m"
+            return f"{self.before} triangles, not reduced: hardly any can be removed within {self.tolerance:.2g} m"
         return (
             f"{self.before} triangles reduced to {self.after}; 99 % of the surface within {self.error.usual:.2g} m "
             f"(asked for: {self.tolerance:.2g} m), all of it within {self.error.largest:.2g} m"
@@ -92,7 +92,7 @@ def reduce_mesh(mesh: Mesh, tolerance: float) -> Reduction:
     if mesh.vertices.ndim != 2:
         raise SonarjaxError(f"reduce_mesh: expected one mesh, got a batch of shape {mesh.vertices.shape[:-2]}")
     if mesh.reflectivity is not None:
-        raise SonarjaxError("reduce_mesh: a mesh whose triangles have reflectivities cannot be reduced: paint it after")
+        raise SonarjaxError("reduce_mesh: expected a mesh without reflectivity: reduce it first, then set it")
     full = real_arrays(mesh)
     before = len(full[1])
     source = _collapsed(*full, FIRST_CUT) if before > 2 * FIRST_CUT else full

@@ -43,12 +43,12 @@ def export_onnx(path: str | os.PathLike[str], segmenter: Segmenter) -> None:
 def onnx_model(segmenter: Segmenter) -> Any:
     """Make the `onnx.ModelProto` that `export_onnx` writes, checked by `onnx`. Raises the same errors."""
     if segmenter.weights is None:
-        raise SonarjaxError(f"segmenter: {segmenter.name!r} has no network to export: expected pix2pix or weights")
+        raise SonarjaxError(f"segmenter: {segmenter.name!r} has no network: expected pix2pix or a weights file")
     try:
         import onnx
         from onnx import TensorProto, helper
     except ImportError as error:
-        raise SonarjaxError("export: needs the package onnx: pip install 'sonarjax[onnx]'") from error
+        raise SonarjaxError("export: the package onnx is not installed: pip install 'sonarjax[onnx]'") from error
     module, graph = segmenter.weights.module, Graph()
     output = add_generator(graph, module, segmenter.weights.variables, "image")
     outputs: dict[str, tuple[Any, ...]] = {"semantic": ("batch", *PATCH)}

@@ -59,7 +59,7 @@ def read_rule(found: Any, name: str) -> IdentificationRule | None:
         weights = tuple(float(found["weights"][key]) for key in EVIDENCE)
         rule = IdentificationRule(weights, *(float(found[key]) for key in ("offset", "threshold", "false_alarms")))
     except (KeyError, TypeError, ValueError) as error:
-        raise SonarjaxError(f"{name}: metadata: expected a `rule` with weights of {', '.join(EVIDENCE)}") from error
+        raise SonarjaxError(f"{name}: metadata: expected a `rule` with weights for {', '.join(EVIDENCE)}") from error
     if not all(math.isfinite(v) for v in (*rule.weights, rule.offset, rule.threshold)):
         raise SonarjaxError(f"{name}: metadata: `rule` holds values that are not finite")
     return rule

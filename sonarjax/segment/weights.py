@@ -64,7 +64,7 @@ def save_generator(
         with np.errstate(over="ignore"):  # reported below, with the name of the array
             arrays[name] = np.asarray(leaf).astype(jnp.dtype(storage) if np.ndim(leaf) > 1 else np.float32)
         if not np.isfinite(arrays[name].astype(np.float32)).all():
-            raise SonarjaxError(f"{os.fspath(path)}: {name}: not finite as {storage}")
+            raise SonarjaxError(f"{os.fspath(path)}: {name}: expected values that are finite as {storage}")
     write_safetensors(path, arrays, about)
 
 
@@ -112,7 +112,7 @@ def _check_arrays(arrays: Mapping[str, np.ndarray], module: Generator, name: str
     places = [_filed(jax.tree_util.keystr(place, simple=True, separator=".")) for place, _ in flat]
     if set(places) != set(arrays):
         odd = sorted(set(places) ^ set(arrays))
-        raise SonarjaxError(f"{name}: expected the arrays of a generator, {odd[0]} is missing or too many")
+        raise SonarjaxError(f"{name}: expected the arrays of a generator, {odd[0]} is missing or not one of them")
     for place, (_, leaf) in zip(places, flat, strict=True):
         if arrays[place].shape != leaf.shape:
             raise SonarjaxError(f"{name}: {place}: expected shape {leaf.shape}, got {arrays[place].shape}")
@@ -127,7 +127,7 @@ def shipped_path() -> Path:
     folder = resources.files("sonarjax.segment") / SHIPPED
     found = sorted(Path(str(folder)).glob("*.safetensors"))
     if len(found) != 1:
-        raise SonarjaxError(f"{folder}: expected one shipped weights file, found {len(found)}: train or name one")
+        raise SonarjaxError(f"{folder}: expected one shipped weights file, found {len(found)}: train or name another")
     return found[0]
 
 

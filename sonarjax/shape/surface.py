@@ -184,7 +184,7 @@ def _descend(
             along *= float(schedule(number)) / max(np.linalg.norm(along, axis=1).max(), 1e-12)
             point = point - along
             point[:, 2] = np.maximum(point[:, 2], 0.0)
-        progress(f"fitted, blurred by {sigma:g} range bins: NCC {scores[-1]:.3f}")
+        progress(f"fitted with a blur of {sigma:g} range bins: NCC {scores[-1]:.3f}")
     costs, _ = evaluate(point, config.blurs[-1])
     return point, np.array([*scores, 1 - costs.mean()]), 1 - costs
 

@@ -150,7 +150,7 @@ def check_azimuth(azimuth: Any, source: str, name: str = "azimuth") -> None:
         raise SonarjaxError(f"{source}: {name} must stay within ±90°, got {worst:g}°")
     wrong = np.flatnonzero(np.diff(angles) <= 0)
     if wrong.size:
-        raise SonarjaxError(f"{source}: {name} must strictly ascend, but beam {wrong[0] + 1} does not")
+        raise SonarjaxError(f"{source}: {name} must be strictly ascending, but beam {wrong[0] + 1} is not")
 
 
 def _check_pixels(sonar: Any, source: str) -> None:

@@ -147,7 +147,7 @@ def _require(table: Mapping[str, Any], source: str) -> None:
     if "azimuth_deg" not in table and not ("n_beams" in table and "field_of_view_deg" in table):
         missing.insert(0, "azimuth_deg (or n_beams and field_of_view_deg)")
     if missing:
-        raise SonarjaxError(f"{source}: missing {', '.join(missing)} (required where no preset is named)")
+        raise SonarjaxError(f"{source}: missing {', '.join(missing)} (required without a preset)")
 
 
 def _numbers(table: Mapping[str, Any], fields: Mapping[str, str], source: str, prefix: str = "") -> dict[str, Any]:
@@ -194,7 +194,7 @@ def _floor(table: Any, source: str) -> FloorPatch:
     _refuse_unknown(table, _FLOOR_FIELDS, f"{source}: [floor]")
     missing = [key for key in _FLOOR_FIELDS if key not in table and key != "yaw_deg"]
     if missing:
-        raise SonarjaxError(f"{source}: [floor] misses {', '.join(missing)}")
+        raise SonarjaxError(f"{source}: [floor]: missing {', '.join(missing)}")
     return FloorPatch(**_numbers(table, _FLOOR_FIELDS, source, "floor."))
 
 

@@ -99,7 +99,7 @@ class Tracker:
             SonarjaxError: The recognizer has several targets, or `motion` is not a motion.
         """
         if len(recognizer.targets) != 1:
-            raise SonarjaxError(f"recognizer: expected one of a single target, got {len(recognizer.targets)}")
+            raise SonarjaxError(f"recognizer: expected one with a single target, got {len(recognizer.targets)} targets")
         if not isinstance(motion, Standing | Turning):
             raise SonarjaxError(f"motion: expected Standing() or Turning(), got {motion!r}")
         self.recognizer, self.motion, self.config = recognizer, motion, config
@@ -226,9 +226,9 @@ def track(
 def joined(found: Sequence[Tracked], tracker: Tracker, smooth: bool = False) -> Track:
     """The `Track` from what a tracker returned for each frame. Raises SonarjaxError if no frame shows the target."""
     if all(one.recognition is None for one in found):
-        raise SonarjaxError(f"frames: none of {len(found)} could be recognized; the first: {found[0].error}")
+        raise SonarjaxError(f"frames: none of {len(found)} could be recognized; first error: {found[0].error}")
     if not any(one.recognition is not None and one.recognition.identified for one in found):
-        raise SonarjaxError(f"frames: the target was identified in none of {len(found)}")
+        raise SonarjaxError(f"frames: the target was not identified in any of {len(found)}")
     beliefs = jax.tree.map(lambda *v: jnp.stack(v), *[one.belief for one in found])
     if smooth:
         beliefs = run_smoother(beliefs, tracker.numbers)
@@ -252,7 +252,7 @@ def _checked(
         raise SonarjaxError("frames: expected at least one")
     for k, image in enumerate(images):
         if image.shape != images[0].shape:
-            raise SonarjaxError(f"frames: expected one shape, got {images[0].shape} and, of frame {k}, {image.shape}")
+            raise SonarjaxError(f"frames[{k}]: expected shape {images[0].shape} as in frame 0, got {image.shape}")
     masked = [None] * len(images) if masks is None else list(masks)
     poses = _poses(sonar_poses, len(images))
     if len(masked) != len(images):

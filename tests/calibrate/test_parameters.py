@@ -47,7 +47,7 @@ def test_names_come_in_one_order() -> None:
 
 @pytest.mark.parametrize("free", [(), ("tilt", "tilt"), ("tilt", "pitch"), "yaw"])
 def test_free_numbers_that_do_not_exist_are_refused(free) -> None:
-    with pytest.raises(sj.SonarjaxError, match=r"free: expected different names of: tilt, roll, height"):
+    with pytest.raises(sj.SonarjaxError, match=r"free: expected names .*: tilt, roll, height"):
         check_free(free)
 
 

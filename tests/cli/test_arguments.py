@@ -93,7 +93,7 @@ def test_negative_numbers_are_numbers(complaint, place):
 
 
 def test_train_refuses_a_folder_that_cannot_be(complaint, place):
-    assert "cannot hold a run" in complaint(2, "train", "--preset", "smoke", "--run-dir", place / "a.npz" / "run")
+    assert "cannot be used for" in complaint(2, "train", "--preset", "smoke", "--run-dir", place / "a.npz" / "run")
 
 
 def test_a_reader_that_left_is_no_error(place):

@@ -31,7 +31,7 @@ def arguments(place, *frames, out, **options):
 @pytest.mark.parametrize(
     ("frame", "options", "said", "code"),
     [
-        ("a.npz", {"free": "tilt,wind"}, "free: expected different names of: tilt, roll, height", 2),
+        ("a.npz", {"free": "tilt,wind"}, "free: expected names from this list, each once: tilt, roll, height", 2),
         ("no.npz", {}, "no.npz: no such file", 1),
         ("a.npz", {"sonar": "no.toml"}, "no.toml: no such", 2),
     ],
@@ -65,8 +65,8 @@ def found() -> Calibration:
 def test_the_text_says_what_is_known_and_what_is_not(found):
     text = describe_calibration(found, sj.Sonar.preset("didson-hf"), ["a.png", "b.png"]).splitlines()
     assert text[0] == "tilt: 16°, changed by +1° ± 0.1°"
-    assert text[1] == "height: not determined by these frames, kept as it was"
-    assert text[2] == "least known, in units of the priors: -0.99 height"
+    assert text[1] == "height: not determined by these frames, left at its nominal value"
+    assert text[2] == "least determined combination, in units of the priors: -0.99 height"
     assert text[3].startswith("a.png: residual 1.00, target with probability 0.90")
     assert text[4].startswith("b.png: left out")
 

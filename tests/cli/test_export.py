@@ -20,7 +20,7 @@ def test_shipped_network_is_exported(command, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["--onnx", "f.onnx", "--segmenter", "otsu"], "'otsu' has no network to export"),
+        (["--onnx", "f.onnx", "--segmenter", "otsu"], "'otsu' has no network"),
         (["--onnx", "f.onnx", "--segmenter", "unet"], "segmenter: expected one of"),
         (["--onnx", "f.onnx", "--segmenter", "none.safetensors"], "none.safetensors"),
         (["--onnx", "f.onnx", "--segmenter", "broken.safetensors"], "expected a complete safetensors file"),

@@ -39,7 +39,7 @@ def test_targets_that_cannot_be_used(complaint, meshes, place, tmp_path):
     brick = place / "brick.stl"
     for given, said in {
         (brick, meshes): f"--target: {brick} and {meshes / 'brick.stl'} are both called 'brick'",
-        (empty,): f"--target: {empty}: expected a folder of meshes, there is no .stl, ",
+        (empty,): f"--target: {empty}: expected a folder of meshes, found no .stl, ",
         (brick, tmp_path / "word.stl"): "word.stl: not an STL file",
         (brick, "absent.obj"): "absent.obj: no such mesh",
         (brick, place / "brick_mm.stl"): "brick_mm.stl: the mesh is ",

@@ -59,6 +59,6 @@ def test_labels_that_name_an_input(folder):
 
 
 def test_two_inputs_of_one_stem():
-    with pytest.raises(SonarjaxError, match="f.png: its labels would overwrite those of f.npz: same stem"):
+    with pytest.raises(SonarjaxError, match="f.png: its labels would overwrite those of f.npz .same stem"):
         check_label_files("sub", ["f.npz", "f.png"])
     check_label_files("sub", ["f.npz", "./f.npz", "r.aris", "r.aris:3"])

@@ -120,11 +120,11 @@ BAD = [
     ({"directions": [(0.0, 0.0, 0.0)] * 3}, "beam_directions: expected finite directions"),
     ({"directions": [(0.0, 0.1, 1.0)] * 3}, "beam_directions: expected a different azimuth"),
     ({"ranges": [1.0, 1.1, 1.3, 1.4]}, "ranges: expected range bins of equal length"),
-    ({"ranges": [4.0, 3.0, 2.0, 1.0]}, "ranges: expected two or more growing ranges"),
+    ({"ranges": [4.0, 3.0, 2.0, 1.0]}, "ranges: expected two or more ascending ranges"),
     ({"ranges": [-0.5, 0.5, 1.5, 2.5]}, "ranges: expected ranges of 0 m or more"),
-    ({"ranges": [1.0]}, "ranges: expected two or more growing ranges"),
+    ({"ranges": [1.0]}, "ranges: expected two or more ascending ranges"),
     ({"dtype": 10}, "image.dtype: expected 0 to 9, got 10"),
-    ({"beams": 4}, "image.beam_count: expected 3, a direction each, got 4"),
+    ({"beams": 4}, "image.beam_count: expected 3, one per direction, got 4"),
     ({"data": np.zeros(11, np.uint8)}, "image.data: expected 12 bytes for 4 x 3 of uint8, got 11"),
     ({"data": np.full(12, -1, np.int8), "dtype": 1}, "image.data: expected finite values"),
     ({"data": np.full(12, np.nan, "f4"), "dtype": 8}, "image.data: expected finite values"),
@@ -223,7 +223,7 @@ def test_a_frame_that_cannot_be_written_leaves_nothing_behind(tmp_path):
     with pytest.raises(SonarjaxError, match="f: azimuth_deg: expected the sonar's geometry"):
         write_bag(tmp_path / "a.bag", [Frame(image, None, "f", "f")])
     geometry = {"azimuth_deg": [0.0, 1.0], "range_min_m": 0.0, "range_max_m": 1.0}
-    with pytest.raises(SonarjaxError, match="f: mask: expected a frame that is measured everywhere"):
+    with pytest.raises(SonarjaxError, match="f: mask: expected a frame without unmeasured pixels"):
         write_bag(tmp_path / "b", [Frame(image, np.zeros((2, 2), bool), "f", "f", geometry)])
     with pytest.raises(SonarjaxError, match="cannot be written"):
         write_bag(tmp_path / "missing" / "folder.bag", [])

@@ -64,5 +64,5 @@ def test_a_pose_that_neither_settled_nor_fits_better_is_not_kept():
 
 
 def test_what_cannot_be_free_is_refused():
-    with pytest.raises(sj.SonarjaxError, match="free: expected different names"):
+    with pytest.raises(sj.SonarjaxError, match="free: expected names"):
         sj.PoseFinder(MESH, SONAR, free=("yaw", "heave"))

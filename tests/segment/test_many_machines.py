@@ -86,4 +86,4 @@ def test_batch_that_cannot_be_shared(tmp_path: Path) -> None:
     shared = {"SONARJAX_COORDINATOR": free_address(), "SONARJAX_PROCESSES": "3"}
     three = [begin(tmp_path / "run", SONARJAX_PROCESS=str(number), **shared) for number in range(3)]
     for process in three:
-        assert "a batch of 4 cannot be shared evenly by 3 devices" in finish(process, 2)
+        assert "batch: expected a multiple of the 3 devices, got 4" in finish(process, 2)

@@ -150,7 +150,7 @@ def test_code_of_the_page(
 
 @pytest.mark.parametrize("name", ["otsu", "none"])
 def test_without_a_network_there_is_nothing_to_export(name: str, tmp_path: Path) -> None:
-    with pytest.raises(SonarjaxError, match=f"'{name}' has no network to export"):
+    with pytest.raises(SonarjaxError, match=f"'{name}' has no network"):
         export_onnx(tmp_path / "f.onnx", load_segmenter(name))
     assert list(tmp_path.iterdir()) == []
 

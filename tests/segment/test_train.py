@@ -54,9 +54,9 @@ def test_leaves_what_it_says(done):
 
 @pytest.mark.slow
 def test_a_run_is_not_overwritten(done, folder):
-    with pytest.raises(SonarjaxError, match="holds a run already"):
+    with pytest.raises(SonarjaxError, match="already holds a run"):
         train(tiny_recipe(folder), done[0])
-    with pytest.raises(SonarjaxError, match=r"another recipe: networks, run_seed differ"):
+    with pytest.raises(SonarjaxError, match=r"these fields differ: networks, run_seed"):
         recipe = tiny_recipe(folder, run_seed=1)
         train(replace(recipe, networks=replace(recipe.networks, width=3)), done[0], resume=True)
 
@@ -180,8 +180,8 @@ def test_pairs_of_validation_are_no_pairs_of_training(folder):
     [
         ({"batch": 0}, "batch: expected 1 or more"),
         ({"pairs": 4}, "at least one batch of 8"),
-        ({"discriminative": True}, "head `classes`"),
-        ({"sets": 2}, "is one set"),
+        ({"discriminative": True}, "networks.head: expected `classes`"),
+        ({"sets": 2}, "sets: expected 1 "),
         ({"mirrored": -0.1}, "mirrored: expected a share from 0 to 1, got -0.1"),
         ({"plain": 1.5}, "plain: expected a share from 0 to 1, got 1.5"),
         ({"plain": float("nan")}, "plain: expected a share"),

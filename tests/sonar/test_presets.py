@@ -142,8 +142,8 @@ IMPOSSIBLE = [
     ({"azimuth": [[0.1, 0.2]]}, "azimuth must be a list"),
     ({"azimuth": ["a"]}, "azimuth must be a list"),
     ({"azimuth": [0.1, NAN]}, "azimuth holds NaN"),
-    ({"azimuth": [0.1, 0.1]}, "azimuth must strictly ascend, but beam 1 does not"),
-    ({"azimuth": [0.2, 0.1]}, "azimuth must strictly ascend"),
+    ({"azimuth": [0.1, 0.1]}, "azimuth must be strictly ascending, but beam 1 is not"),
+    ({"azimuth": [0.2, 0.1]}, "azimuth must be strictly ascending"),
     ({"azimuth": [-13.7, 13.7]}, "azimuth must stay within ±90°"),  # degrees given for radians
     ({"floor": FloorPatch(2.0, 0.0, 0.0, 1.0)}, "floor.length"),
     ({"floor": FloorPatch(NAN, 0.0, 1.0, 1.0)}, "floor.x"),

@@ -53,7 +53,7 @@ def device_mesh(batch: int) -> Mesh:
     """
     devices = jax.devices()
     if jax.process_count() > 1 and batch % len(devices):
-        raise SonarjaxError(f"training: a batch of {batch} cannot be shared evenly by {len(devices)} devices")
+        raise SonarjaxError(f"training: batch: expected a multiple of the {len(devices)} devices, got {batch}")
     count = max(n for n in range(1, len(devices) + 1) if batch % n == 0)
     return Mesh(np.array(devices[:count]), ("batch",))
 

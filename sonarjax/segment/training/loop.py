@@ -170,8 +170,8 @@ class _Run:
 
     def _diverged(self, what: str) -> SonarjaxError:
         kept = self.checkpoints.latest
-        last = "there is no checkpoint yet" if kept is None else f"the last good checkpoint is that of step {kept}"
-        advice = "resuming would meet it again: start another folder with a lower learning_rate"
+        last = "there is no checkpoint yet" if kept is None else f"the last good checkpoint is from step {kept}"
+        advice = "resuming would fail again: start in a new folder with a lower learning_rate"
         return SonarjaxError(f"{self.folder}: training stopped at step {self.step}: {what}; {last}; {advice}")
 
     def _judge(self) -> tuple[dict[str, float], np.ndarray]:

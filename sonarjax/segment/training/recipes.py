@@ -80,12 +80,12 @@ class Recipe:
         if self.pairs < self.batch:
             raise SonarjaxError(f"recipe: pairs: expected at least one batch of {self.batch}, got {self.pairs}")
         if self.discriminative and self.networks.head != "classes":
-            raise SonarjaxError("recipe: a discriminative model needs networks with the head `classes`")
+            raise SonarjaxError("recipe: networks.head: expected `classes` for a discriminative model")
         weight, head = self.networks.cross_entropy, self.networks.head
         if weight and head != "classes":
             raise SonarjaxError(f"recipe: networks.head: expected `classes` for cross_entropy {weight:g}, got `{head}`")
         if self.source is not None and self.sets != 1:
-            raise SonarjaxError("recipe: sets: a folder of pairs is one set")
+            raise SonarjaxError(f"recipe: sets: expected 1 with a folder of pairs as source, got {self.sets}")
         return self
 
     def as_json(self) -> dict[str, Any]:

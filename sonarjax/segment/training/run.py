@@ -42,9 +42,9 @@ def _open(recipe: Recipe, run_dir: Path, resume: bool) -> None:
         (run_dir / "samples").mkdir(parents=True, exist_ok=True)
         begun = config.exists()
     except OSError as error:
-        raise SonarjaxError(f"{run_dir}: cannot hold a run: {reason(error)}") from error
+        raise SonarjaxError(f"{run_dir}: cannot be used for a run: {reason(error)}") from error
     if begun and not resume:
-        raise SonarjaxError(f"{run_dir}: holds a run already: resume it, or choose another folder")
+        raise SonarjaxError(f"{run_dir}: already holds a run: resume it, or choose another folder")
     if begun:
         _check_same(recipe, config)
     else:
@@ -59,7 +59,7 @@ def _check_same(recipe: Recipe, config: Path) -> None:
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise SonarjaxError(f"{config}: expected the recipe of a run") from error
     if differing:
-        raise SonarjaxError(f"{config}: the run there has another recipe: {', '.join(differing)} differ")
+        raise SonarjaxError(f"{config}: expected the recipe of this run, these fields differ: {', '.join(differing)}")
 
 
 def versions() -> dict[str, str]:
