@@ -125,7 +125,7 @@ def test_every_and_limit_pick_frames(arguments, tmp_path):
 def test_a_stream_without_a_frame_that_fits_says_so(arguments, tmp_path):
     for path in (tmp_path / "frames").glob("*.npz"):
         write_npz(path, image=np.zeros((5, 5)))
-    with pytest.raises(SonarjaxError, match="no frame"):
+    with pytest.raises(SonarjaxError, match="none of its frames could be recognized"):
         recognize_stream.run(Settings(**arguments), Job(tmp_path / "run", 0))
 
 

@@ -226,7 +226,7 @@ def _take_up(target: Path, facts: dict[str, Any]) -> None:
             if not isinstance(old, dict) or old.get(name) != value:
                 was = old.get(name) if isinstance(old, dict) else None
                 raise SonarjaxError(
-                    f"{target}: holds a data set with another {name}: {json.dumps(was)}, now {json.dumps(value)}: "
+                    f"{target}: holds another data set, made with {name} {json.dumps(was)}, now {json.dumps(value)}: "
                     "expected another folder, or the same settings to continue"
                 )
         return

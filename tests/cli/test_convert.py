@@ -135,7 +135,7 @@ def test_frame_of_the_right_shape_is_recognized(command, place, fan, tmp_path, s
     ("arguments", "code", "words"),
     [
         (("FAN", "--out", "p.npz"), 2, "fan.png: --opening-deg: required for a fan picture"),
-        (("FAN", "--opening-deg", 29, "--range-max", 4, "--out", "p.npz"), 2, "fan.png: --range-min: expected"),
+        (("FAN", "--opening-deg", 29, "--range-max", 4, "--out", "p.npz"), 2, "fan.png: --range-min: required"),
         (("FAN", *SECTOR, "--out", "p.jpg"), 2, "--out: 'p.jpg': expected an ending .npz"),
         (("FAN", *SECTOR, "--out", "FAN"), 2, "would overwrite the input"),
         (("FAN", *SECTOR, "--out", "missing/p.npz"), 2, "missing/p.npz: cannot be written"),
@@ -144,7 +144,7 @@ def test_frame_of_the_right_shape_is_recognized(command, place, fan, tmp_path, s
         (("FAN", *SECTOR[:2], "--range-min", 4, "--range-max", 1.5, "--out", "p.npz"), 2, "fan.png: fan: range"),
         (("FAN", "--opening-deg", 0, *SECTOR[2:], "--out", "p.npz"), 2, "fan.png: fan: opening"),
         (("FAN", *SECTOR, "--apex", 3, "--out", "p.npz"), 2, "fan.png: fan: apex: expected a row below"),
-        (("FAN", *SECTOR, "--apex", 7.001, "--out", "p.npz"), 2, "fan.png: fan: expected some"),
+        (("FAN", *SECTOR, "--apex", 7.001, "--out", "p.npz"), 2, "fan.png: fan: expected a fan that overlaps"),
         (("FAN", *SECTOR, "--bins", 1.5, "--out", "p.npz"), 2, "--bins: expected a whole number"),
         (("black.png", *SECTOR, "--out", "p.npz"), 2, "black.png: fan: expected pixels above 0"),
         (("a.npy", "--out", "p.png"), 2, "a.npy: --opening-deg: required for a frame without azimuth_deg"),

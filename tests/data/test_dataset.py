@@ -239,9 +239,9 @@ def test_the_card_counts_what_is_there(make):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({"seed": 1}, "key is"), ({"count": 21}, "count is 20, now 21"), ({"format": "npz"}, 'format is "png"'),
-        ({"settings": FrameSettings(scenes=2)}, "settings is"), ({"meshes": {"pile": MESHES["pile"]}}, "meshes is"),
-        ({"sonar": SONAR.replace(tilt=0.4)}, "sonar is"), ({"license": "MIT"}, "license is"),
+        ({"seed": 1}, "with key"), ({"count": 21}, "with count 20, now 21"), ({"format": "npz"}, 'with format "png"'),
+        ({"settings": FrameSettings(scenes=2)}, "with settings"), ({"meshes": {"pile": MESHES["pile"]}}, "with meshes"),
+        ({"sonar": SONAR.replace(tilt=0.4)}, "with sonar"), ({"license": "MIT"}, "with license"),
     ],
     ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
 )  # fmt: skip

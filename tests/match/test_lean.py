@@ -43,7 +43,11 @@ def test_a_clean_image_is_matched_with_its_attitude(search):
 
 @pytest.mark.parametrize(
     ("change", "message"),
-    [({"yaw_bins": 0}, "counts of 1 or more"), ({"lifts": ()}, "a lift"), ({"lean": 0.0}, "positive angles")],
+    [
+        ({"yaw_bins": 0}, "counts of 1 or more"),
+        ({"lifts": ()}, "at least one lift"),
+        ({"lean": 0.0}, "positive angles"),
+    ],
 )
 def test_searches_that_cannot_be_are_refused(change, message):
     with pytest.raises(sj.SonarjaxError, match=message):
