@@ -28,7 +28,7 @@ from experiments.common.scores import area
 from experiments.common.validation import Case, scenes, validation_cases
 from sonarjax.io.safetensors import read_safetensors, write_safetensors
 from sonarjax.refine import ErrorBar
-from sonarjax.refine.errorbar import LEAST
+from sonarjax.refine.errorbar import log_drop
 from sonarjax.segment import EVIDENCE
 
 THRESHOLD = 0.5
@@ -39,6 +39,10 @@ ASTRAY_DEG = 30.0
 """Yaw errors beyond it are of another hypothesis: no error bar is fitted to them."""
 TAIL = 4.0
 """An error of more standard deviations than this counts as this many [1]."""
+BAR_RIDGE = 2.0
+"""Weight of the squared coefficients of what error bars are made of, standardised [1]."""
+WITHIN = (0.683, 0.954)
+"""Shares of a normal distribution within 1 and 2 standard deviations [1]."""
 HEADS = {
     "frames": "frames of", "count": "count", "auc": "AUC", "left_out": "AUC, object left out",
     "bank": "AUC of score_bank", "refined": "AUC of score_refined",
@@ -67,6 +71,8 @@ class Measured:
 
     evidence: np.ndarray
     """Evidence (frame, number), in the order of `EVIDENCE`."""
+    drops: np.ndarray
+    """`map_drop` and `frame_drop` (frame, 2)."""
     own: np.ndarray
     """Whether the target is shown."""
     error_deg: np.ndarray
@@ -114,7 +120,8 @@ def _measure(cases: list[Case], segmenter: str) -> dict[str, Any]:
     for case in tqdm(cases, desc=segmenter, unit="frame", leave=False, disable=None):
         result = made[case.sought](case.tilt_deg)(case.image, threshold=0.5)
         assert result.evidence is not None
-        row = [[result.evidence[name] for name in EVIDENCE], case.is_target, yaw_error_deg(result.yaw, case.yaw)]
+        row = [[result.evidence[name] for name in names] for names in (EVIDENCE, ("map_drop", "frame_drop"))]
+        row += [case.is_target, yaw_error_deg(result.yaw, case.yaw)]
         row += [np.degrees(result.evidence["curvature_std"]), result.score_bank, result.score_refined]
         for name, value in zip(found, row, strict=True):
             found[name].append(value)
@@ -143,7 +150,9 @@ def fit_logistic(evidence: np.ndarray, own: np.ndarray) -> tuple[Callable[[Any],
 def fit_error_bar(values: Measured) -> ErrorBar:
     """The error bar under which the targets' errors are most likely, for a normal distribution cut at `TAIL`.
 
-    A few frames go astray, and would widen all others' error bars.
+    A few frames go astray, and would widen all others' error bars. Errors have longer tails than a normal distribution:
+    bars that hold 68 % of them within 1 standard deviation hold less than 95 % within 2. So the bars are scaled to lie
+    halfway (geometric mean) between those that are right at 68 % and those that are right at 95 %.
     """
     near = values.own & (values.error_deg <= ASTRAY_DEG) & np.isfinite(values.std_deg)
     error, known = np.radians(values.error_deg[near]), _known(values)[near]
@@ -152,23 +161,26 @@ def fit_error_bar(values: Measured) -> ErrorBar:
 
     def loss(beta: np.ndarray) -> float:
         log_std = beta[0] + scaled @ beta[1:]
-        return float((log_std + np.minimum(error / np.exp(log_std), TAIL) ** 2 / 2).sum())
+        likely = (log_std + np.minimum(error / np.exp(log_std), TAIL) ** 2 / 2).sum()
+        return float(likely + BAR_RIDGE * (beta[1:] ** 2).sum() / 2)
 
-    beta = minimize(loss, [np.log(error.mean()), 0.0, 0.0, 0.0]).x
+    beta = minimize(loss, [np.log(np.median(error)), *np.zeros(known.shape[1])]).x
+    one, two = np.quantile(error / np.exp(beta[0] + scaled @ beta[1:]), WITHIN)
     weights = beta[1:] / spread
-    return ErrorBar(float(beta[0] - weights @ mean), *(float(w) for w in weights))
+    offset = beta[0] - weights @ mean + np.log(one * two / 2) / 2
+    return ErrorBar(float(offset), *(float(w) for w in weights))
 
 
 def _known(values: Measured) -> np.ndarray:
     """What error bars are made of (frame, number): the fields of `ErrorBar` after its offset."""
-    columns = [values.evidence[:, EVIDENCE.index(name)] for name in ("left_over", "frame_rise")]
-    return np.stack([np.log(np.maximum(np.radians(values.std_deg), LEAST)), *columns], axis=-1)
+    drops = log_drop(values.drops)
+    return np.stack([drops[:, 0], drops[:, 1], values.evidence[:, EVIDENCE.index("left_over")]], axis=-1)
 
 
 def _std(bar: ErrorBar, values: Measured) -> np.ndarray:
     """Standard deviations (frame,) [rad]."""
-    left_over, rise = (values.evidence[:, EVIDENCE.index(name)] for name in ("left_over", "frame_rise"))
-    return bar.std(np.radians(values.std_deg), left_over, rise)
+    left_over = values.evidence[:, EVIDENCE.index("left_over")]
+    return bar.std(np.radians(values.std_deg), values.drops[:, 0], values.drops[:, 1], left_over)
 
 
 def _left_out(values: Measured, sought: np.ndarray) -> np.ndarray:

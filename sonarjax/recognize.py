@@ -338,7 +338,7 @@ def _result(look: Look, parts: Sequence[tuple[YawEstimate, Pose, Evidence]]) -> 
     """Gather a look's refined starts as hypotheses, with the evidence for the best; its score is set later."""
     estimate, pose, gathered = jax.tree.map(lambda *values: np.stack([np.asarray(v) for v in values]), *parts)
     curves = curve_evidence(*look)
-    stds = ERROR_BAR.std(estimate.yaw_std, gathered.left_over, curves["frame_rise"])
+    stds = ERROR_BAR.std(estimate.yaw_std, curves["map_drop"], curves["frame_drop"], gathered.left_over)
     hypotheses = _hypotheses(estimate, pose, stds)
     order = int(np.argmax([one.score for one in hypotheses]))
     evidence = {name: float(values[order]) for name, values in vars(gathered).items()}

@@ -18,7 +18,7 @@ RNG = np.random.default_rng(7)
 def measured(own: np.ndarray, **values: np.ndarray) -> Measured:
     count = len(own)
     plain = {name: np.zeros(count) for name in ("error_deg", "std_deg", "bank", "refined")}
-    return Measured(**({"evidence": np.zeros((count, 2)), "own": own} | plain | values))
+    return Measured(**({"evidence": np.zeros((count, 2)), "drops": np.zeros((count, 2)), "own": own} | plain | values))
 
 
 def test_area_counts_the_pairs_in_the_right_order() -> None:
@@ -37,12 +37,12 @@ def test_the_logistic_fit_finds_the_log_odds_it_was_drawn_from() -> None:
 
 
 def test_error_bars_are_fitted_to_errors_drawn_from_them() -> None:
-    drawn, count = ErrorBar(-1.5, 0.6, 1.2, -3.0), 8000
-    std, evidence = RNG.uniform(0.1, 1.0, count), RNG.uniform(0.0, 0.7, (count, len(EVIDENCE)))
+    drawn, count = ErrorBar(-7.0, -0.6, -0.4, 1.2), 8000
+    drops, evidence = RNG.uniform(0.0, 0.2, (count, 2)), RNG.uniform(0.0, 0.7, (count, len(EVIDENCE)))
     own = np.ones(count, bool)
-    given = measured(own, std_deg=std, evidence=evidence, error_deg=np.zeros(count))
+    given = measured(own, drops=drops, evidence=evidence, error_deg=np.zeros(count))
     error = np.abs(RNG.normal(size=count)) * np.degrees(fit_decision._std(drawn, given))
-    found = fit_decision.fit_error_bar(measured(own, std_deg=std, evidence=evidence, error_deg=error))
+    found = fit_decision.fit_error_bar(measured(own, drops=drops, evidence=evidence, error_deg=error))
     assert fit_decision._std(found, given) == pytest.approx(fit_decision._std(drawn, given), rel=0.15)
 
 

@@ -1,8 +1,8 @@
-"""How large the errors of a refined yaw are: the standard deviation from the curvature, corrected by the evidence.
+"""How large the errors of a refined yaw are, judged by how well the frame shows the yaw.
 
-The curvature accounts for the residuals, but not for what the template lacks: bounces, another brightness of faces, a
-slightly wrong tilt or height. All of these show in how much of the frame is left over. And a yaw that hardly stands out
-from the others is less certain than its own peak suggests.
+The curvature of the objective accounts for the residuals, but not for what the template lacks: bounces, another
+brightness of faces, a slightly wrong tilt or height. On validation frames it says little about the errors. These are
+large where the score hardly falls beside the best yaw, and where much of the frame is left over.
 """
 
 from __future__ import annotations
@@ -13,29 +13,40 @@ import numpy as np
 
 
 class ErrorBar(NamedTuple):
-    """log `yaw_std` = `offset` + `power` log s + `left_over` l + `rise` r, where s is the curvature's [rad]."""
+    """log `yaw_std` = `offset` + `map_drop` log(m + `FLAT`) + `frame_drop` log(f + `FLAT`) + `left_over` l.
+
+    m and f are the evidence of the names `map_drop` and `frame_drop`, l is `Evidence.left_over`.
+    """
 
     offset: float
     """The value if everything else is 0."""
-    power: float
-    """Power of the curvature's standard deviation [1]."""
+    map_drop: float
+    """Power of `map_drop`: how far the score in the map falls beside the best yaw [1]."""
+    frame_drop: float
+    """Power of `frame_drop`: the same in the frame [1]."""
     left_over: float
     """Weight of `Evidence.left_over`."""
-    rise: float
-    """Weight of `frame_rise`: how much the best yaw stands out in the frame."""
 
-    def std(self, curvature_std: np.ndarray, left_over: np.ndarray, rise: np.ndarray | float) -> np.ndarray:
-        """Standard deviations of yaw [rad] (*batch); infinite where the curvature's are.
+    def std(
+        self, curvature_std: np.ndarray, map_drop: np.ndarray | float, frame_drop: np.ndarray | float,
+        left_over: np.ndarray,
+    ) -> np.ndarray:  # fmt: skip
+        """Standard deviations of yaw [rad] (*batch), never below `curvature_std` [rad] (*batch).
 
-        `curvature_std` [rad] and `left_over` [1] are (*batch); `rise` [NCC] is (*batch) or one number.
+        `left_over` [1] is (*batch); the drops [NCC] are (*batch) or one number each.
         """
-        known = np.log(np.maximum(curvature_std, LEAST))
-        return np.exp(self.offset + self.power * known + self.left_over * left_over + self.rise * rise)
+        powers = self.map_drop * log_drop(map_drop) + self.frame_drop * log_drop(frame_drop)
+        return np.maximum(np.exp(self.offset + powers + self.left_over * left_over), curvature_std)
 
 
-LEAST = 1e-5
-"""Least standard deviation of the curvature [rad]: that of labels without any noise."""
-ERROR_BAR = ErrorBar(offset=-2.496, power=0.2081, left_over=1.827, rise=-13.16)
+FLAT = 0.005
+"""Added to a drop [NCC], so that a flat curve over yaw does not give an infinite error bar."""
+ERROR_BAR = ErrorBar(offset=-9.032, map_drop=-0.7928, frame_drop=-0.505, left_over=2.153)
 """Fitted to the errors on validation frames, whose devices and objects occur in no test
 (experiments/fit_decision.py).
 """
+
+
+def log_drop(drop: np.ndarray | float) -> np.ndarray | np.floating:
+    """Logarithm of a drop [NCC] (*batch), as `ErrorBar` takes it."""
+    return np.log(np.maximum(drop, 0.0) + FLAT)

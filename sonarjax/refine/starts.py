@@ -31,6 +31,8 @@ FRAME_BLURS = (1.0, 0.5)
 """Blurs [range bins] of the refinement on the frame itself, which starts from the result on the map."""
 FRAME_ITERATIONS = 3
 """Largest number of renders at each of these blurs."""
+BESIDE = math.radians(10.0)
+"""How far from the best yaw a score is compared with the highest [rad]."""
 
 
 class Candidate(NamedTuple):
@@ -169,12 +171,23 @@ def evidence_of(drawn: Drawn, image: np.ndarray, seen: np.ndarray, mask: np.ndar
 def curve_evidence(in_map: Candidate, in_frame: Candidate | None) -> dict[str, float]:
     """Evidence from the scores over yaw: how far the peak stands out in the map and in the frame, and its height there.
 
-    `map_rise` and `frame_rise` are the highest score minus the fourth highest. `frame_peak` is the highest score in the
-    frame. Without a match in the frame, that in the map is used instead.
+    `map_rise` and `frame_rise` are the highest score minus the fourth highest. `map_drop` and `frame_drop` are the
+    highest score minus the mean of those 10° to either side. `frame_peak` is the highest score in the frame. Without a
+    match in the frame, that in the map is used instead.
     """
-    curves = in_map.match.scores, (in_map if in_frame is None else in_frame).match.scores
-    rises = [float(ordered[-1] - ordered[-4]) for ordered in map(np.sort, curves)]
-    return {"map_rise": rises[0], "frame_rise": rises[1], "frame_peak": float(curves[1].max())}
+    curves = {"map": in_map.match.scores, "frame": (in_map if in_frame is None else in_frame).match.scores}
+    evidence = {"frame_peak": float(curves["frame"].max())}
+    for name, scores in curves.items():
+        ordered = np.sort(scores)
+        evidence |= {f"{name}_rise": float(ordered[-1] - ordered[-4]), f"{name}_drop": _drop(scores)}
+    return evidence
+
+
+def _drop(scores: np.ndarray) -> float:
+    """How far scores over the full circle (yaw,) fall from the highest, on average, `BESIDE` to either side."""
+    best, bins = int(scores.argmax()), BESIDE * len(scores) / (2 * math.pi)
+    beside = np.interp([best - bins, best + bins], np.arange(len(scores)), scores, period=len(scores))
+    return float(scores[best] - beside.mean())
 
 
 def is_kept(estimate: YawEstimate) -> Any:

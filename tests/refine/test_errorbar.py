@@ -10,17 +10,24 @@ import pytest
 from sonarjax.refine import ERROR_BAR, ErrorBar
 
 
-def test_it_is_a_power_of_the_curvatures_times_exponentials_of_the_evidence() -> None:
-    bar = ErrorBar(offset=-1.0, power=0.5, left_over=2.0, rise=-3.0)
-    std = bar.std(np.array([1e-3, 4e-3]), np.array([0.2, 0.4]), 0.1)
-    assert std == pytest.approx([math.exp(-1.0 - 0.3 + 2 * v) * math.sqrt(s) for s, v in ((1e-3, 0.2), (4e-3, 0.4))])
+def test_it_is_a_product_of_powers() -> None:
+    bar = ErrorBar(offset=-3.0, map_drop=-0.5, frame_drop=-2.0, left_over=1.5)
+    std = bar.std(np.zeros(2), np.array([0.095, 0.0]), 0.995, np.array([0.2, 0.4]))
+    assert std == pytest.approx([math.exp(-2.7) / math.sqrt(0.1), math.exp(-2.4) / math.sqrt(0.005)])
 
 
-def test_what_cannot_be_compared_is_infinitely_uncertain() -> None:
-    assert ERROR_BAR.std(np.array([np.inf]), np.array([0.5]), 0.1)[0] == np.inf
-    assert 0 < ERROR_BAR.std(np.array([0.0]), np.array([0.0]), 1.0)[0] < math.radians(1.0)
+def test_the_curvature_is_the_least() -> None:
+    known, nothing_left = np.array([0.0, 0.5, np.inf]), np.zeros(3)
+    std = ERROR_BAR.std(known, 1.0, 1.0, nothing_left)
+    assert 0 < std[0] < math.radians(1.0)
+    assert std[1:].tolist() == [0.5, np.inf]
 
 
-def test_more_left_over_and_a_lower_peak_mean_a_larger_error() -> None:
-    std = ERROR_BAR.std(np.full(3, 2e-3), np.array([0.2, 0.6, 0.2]), np.array([0.2, 0.2, 0.05]))
-    assert std[1] > std[0] and std[2] > std[0]
+def test_a_curve_that_does_not_fall_is_a_finite_error() -> None:
+    assert np.isfinite(ERROR_BAR.std(np.zeros(1), -0.1, 0.0, np.ones(1))).all()
+
+
+def test_a_flatter_curve_and_more_left_over_mean_a_larger_error() -> None:
+    least = ERROR_BAR.std(np.zeros(1), 0.2, 0.2, np.array([0.2]))
+    for worse in ((0.05, 0.2, 0.2), (0.2, 0.05, 0.2), (0.2, 0.2, 0.6)):
+        assert ERROR_BAR.std(np.zeros(1), *worse[:2], np.array(worse[2:])) > least
