@@ -21,7 +21,12 @@ os.environ["SONARJAX_CACHE_DIR"] = str(PROJECT / ".pytest_cache" / f"xla-{WORKER
 
 from sonarjax import cpu  # noqa: E402
 
-# Most of the time goes into compiling renderers. Subprocesses inherit the flags.
+# Most of the time goes into compiling renderers: code that is not optimised is compiled in less than half of it, and the
+# tests' images are small. Subprocesses inherit the flags.
+QUICKEST = {"xla_backend_optimization_level": 0}
+for name, level in QUICKEST.items():
+    os.environ["XLA_FLAGS"] = f"--{name}={level} {os.environ.get('XLA_FLAGS', '')}".strip()  # the user's comes last
+cpu.COMPILER_OPTIONS.update(QUICKEST)
 cpu.use_quick_compiler()
 cpu.enable_compilation_cache()
 jax.config.update("jax_enable_x64", False)
