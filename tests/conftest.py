@@ -21,8 +21,8 @@ os.environ["SONARJAX_CACHE_DIR"] = str(PROJECT / ".pytest_cache" / f"xla-{WORKER
 
 from sonarjax import cpu  # noqa: E402
 
-# Most of the time goes into compiling renderers: code that is not optimised is compiled in less than half of it, and the
-# tests' images are small. Subprocesses inherit the flags.
+# Most of the time goes into compiling renderers, and half of that is saved where code is not optimised. Subprocesses
+# inherit the flags. Tests that compute for longer than they compile ask for optimised code (tests/refine/engines.py).
 QUICKEST = {"xla_backend_optimization_level": 0}
 for name, level in QUICKEST.items():
     os.environ["XLA_FLAGS"] = f"--{name}={level} {os.environ.get('XLA_FLAGS', '')}".strip()  # the user's comes last

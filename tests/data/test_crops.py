@@ -13,7 +13,6 @@ from sonarjax.data.crops import cut_labels, draw_box
 from sonarjax.render import SonarFrame
 from sonarjax.sonar import Sonar
 
-
 cut = jax.jit(cut_box, static_argnums=2)  # one compilation for all boxes
 paste = jax.jit(paste_patch, static_argnums=2)
 
