@@ -16,8 +16,7 @@ import time
 from pathlib import Path
 
 PROJECT = Path(__file__).resolve().parents[2]
-QUICK = os.environ.get("XLA_FLAGS", "")
-"""Flags of conftest: code is not optimised."""
+QUICK = f"{os.environ.get('XLA_FLAGS', '')} --xla_backend_optimization_level=0"  # conftest's, and code is not optimised
 
 
 def tiny_recipe(folder, **changes):
