@@ -21,10 +21,24 @@ os.environ["SONARJAX_CACHE_DIR"] = str(PROJECT / ".pytest_cache" / f"xla-{WORKER
 
 from sonarjax import cpu  # noqa: E402
 
-# Most of the time goes into compiling renderers. Subprocesses inherit the flags.
 cpu.use_quick_compiler()
 cpu.enable_compilation_cache()
 jax.config.update("jax_enable_x64", False)
+
+
+QUICKEST = {"xla_backend_optimization_level": 0}
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Where slow tests are left out, code is not optimised: that halves the time, most of which goes into compiling.
+
+    Tests that compute for longer than they compile ask for optimised code (tests/refine/engines.py).
+    """
+    if config.option.markexpr == "not slow":
+        flags = [f"--{name}={level}" for name, level in QUICKEST.items()]
+        given = os.environ.get("XLA_FLAGS", "")
+        os.environ["XLA_FLAGS"] = " ".join([*flags, given])  # what the user gave comes last, and holds
+        cpu.COMPILER_OPTIONS.update(QUICKEST)
 
 
 @pytest.fixture(autouse=True)

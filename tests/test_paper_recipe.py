@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import jax
 import numpy as np
 import pytest
 
@@ -88,12 +89,25 @@ def test_frames_in_the_tank_stand_where_table_1_says(monkeypatch):
         assert float(pose.x) < far <= frames.TANK_M[0] + 1e-5 and float(sonar.floor.x) == pytest.approx(float(walls.x))
 
 
-def test_the_walls_of_the_tank_are_in_its_frames_but_not_in_their_maps():
-    import jax
-
-    sonar, target = frames.sonar_for(20.0), sj.objects.target()
+def tank_frame(n_ranges=512):
+    """Image and map of the target in the tank, and the sonar."""
+    sonar = frames.sonar_for(20.0).replace(n_ranges=n_ranges)
     pose, model = sj.Pose(frames.GROUND_RANGE_M[20.0], 0.0, 0.3), SensorModel.nominal(0.0)
     keys = {"place_key": jax.random.key(2), "key": jax.random.key(1)}
-    image, clean = frames.observed_in_tank(target, pose, sonar, model, **keys)
-    assert image.shape == clean.shape == (sonar.n_ranges, sonar.n_beams)
+    return *frames.observed_in_tank(sj.objects.target(), pose, sonar, model, **keys), sonar
+
+
+def test_the_walls_of_the_tank_are_seen_but_not_in_the_map(monkeypatch):
+    seen = []
+    monkeypatch.setattr(frames, "observe_scene", lambda meshes, *rest, key: (seen.extend(meshes), None))
+    _, clean, sonar = tank_frame(128)
+    assert [mesh.n_faces for mesh in seen] == [sj.objects.target().n_faces, sj.objects.tank().n_faces]
+    assert clean.shape == sonar.shape
     assert 0 < float((clean > 0.75).mean()) < 0.1  # the object alone
+
+
+@pytest.mark.slow
+def test_a_frame_in_the_tank_is_as_large_as_its_map():
+    image, clean, sonar = tank_frame()
+    assert image.shape == clean.shape == (sonar.n_ranges, sonar.n_beams)
+    assert 0 < float((clean > 0.75).mean()) < 0.1

@@ -38,12 +38,18 @@ def frames(sonar: sj.Sonar) -> list[np.ndarray]:
 
 
 @pytest.fixture
-def arguments(tmp_path: Path, sonar: sj.Sonar, frames: list[np.ndarray]) -> dict[str, str]:
-    """A folder of three frames, and one that is broken; the target's mesh and the sonar as files."""
+def arguments(broken: dict[str, str], frames: list[np.ndarray]) -> dict[str, str]:
+    """The same with three frames in the folder."""
+    for number, image in zip((2, 9, 10), frames, strict=True):
+        write_npz(Path(broken["source"]) / f"frame_{number}.npz", image=image)
+    return broken
+
+
+@pytest.fixture
+def broken(tmp_path: Path, sonar: sj.Sonar) -> dict[str, str]:
+    """A folder with one frame, which is broken; the target's mesh and the sonar as files."""
     folder = tmp_path / "frames"
     folder.mkdir()
-    for number, image in zip((2, 9, 10), frames, strict=True):
-        write_npz(folder / f"frame_{number}.npz", image=image)
     (folder / "frame_3.npz").write_bytes(b"no archive")
     (folder / "notes.txt").write_text("not a frame")
     mesh = sj.objects.target()
@@ -122,11 +128,11 @@ def test_every_and_limit_pick_frames(arguments, tmp_path):
     assert [Path(r["frame"]).stem for r in found] == ["frame_2", "frame_9"]
 
 
-def test_a_stream_without_a_frame_that_fits_says_so(arguments, tmp_path):
-    for path in (tmp_path / "frames").glob("*.npz"):
-        write_npz(path, image=np.zeros((5, 5)))
+def test_a_stream_without_a_frame_that_fits_says_so(broken, tmp_path):
+    for number in (2, 3):
+        write_npz(tmp_path / "frames" / f"frame_{number}.npz", image=np.zeros((5, 5)))
     with pytest.raises(SonarjaxError, match="none of its frames could be recognized"):
-        recognize_stream.run(Settings(**arguments), Job(tmp_path / "run", 0))
+        recognize_stream.run(Settings(**broken), Job(tmp_path / "run", 0))
 
 
 @pytest.mark.parametrize(

@@ -32,7 +32,7 @@ def drawn_told(softness: float, count: int) -> list[Told]:
 
 
 def test_the_fit_finds_the_softness_that_frames_were_drawn_with():
-    weights, steps = fit_yaw_set.fit(drawn_told(0.02, 400))
+    weights, steps = fit_yaw_set.fit(drawn_told(0.02, 150))
     assert weights.softness in (0.015, 0.02, 0.03)
     assert steps[-1]["density"] >= steps[0]["density"]
 

@@ -68,4 +68,4 @@ def test_a_recognizer_adds_it_to_its_error_bar():
 def test_only_what_is_stated_counts():
     assert stated_std(SONAR) == {}
     assert stated_std(SONAR.replace(geometry_std=GeometryStd(tilt=0.01))) == {"tilt": pytest.approx(0.01)}
-    assert yaw_std_of_geometry(frame_of(SONAR), MESH, SONAR, POSE, {}, CONFIG) == 0.0
+    assert yaw_std_of_geometry(np.zeros(SONAR.shape, np.float32), MESH, SONAR, POSE, {}, CONFIG) == 0.0

@@ -17,7 +17,7 @@ def meshes(place, tmp_path):
     return folder
 
 
-@pytest.mark.parametrize("refined", [True, False])
+@pytest.mark.parametrize("refined", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_several_targets_are_told_apart(command, meshes, place, rendered, tmp_path, refined):
     out = tmp_path / "r.jsonl"
     how = ["--sonar", place / "sonar.toml", "--out", out, "--segmenter", "none", *["--no-refine"][refined:]]

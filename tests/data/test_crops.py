@@ -8,19 +8,22 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from sonarjax.crops import LEAST, Box, cut_box, paste_patch
+from sonarjax.crops import LEAST, PATCH, Box, cut_box, paste_patch
 from sonarjax.data.crops import cut_labels, draw_box
 from sonarjax.render import SonarFrame
 from sonarjax.sonar import Sonar
 
+cut = jax.jit(cut_box, static_argnums=2)  # one compilation for all boxes
+paste = jax.jit(paste_patch, static_argnums=2)
 
-@pytest.mark.parametrize("box", [Box(0, 0, 96, 40), Box(10.0, 4.0, 64.0, 16.0), Box(3.5, 2.25, 31.0, 20.5)])
+
+@pytest.mark.parametrize("box", [Box(0.0, 0.0, 96.0, 40.0), Box(10.0, 4.0, 64.0, 16.0), Box(3.5, 2.25, 31.0, 20.5)])
 def test_cut_as_pillow_does(rng, box):
     """Pillow averages with the same triangle when it shrinks, and interpolates when it stretches."""
     image = rng.random((96, 40), np.float32)
     corners = (box.left, box.top, box.left + box.columns, box.top + box.rows)
     wanted = Image.fromarray(image).resize((48, 64), Image.Resampling.BILINEAR, box=corners)
-    found = np.asarray(cut_box(jnp.asarray(image), box, (64, 48)))
+    found = np.asarray(cut(jnp.asarray(image), box, (64, 48)))
     # Pillow knows no pixels outside the box, ours looks at the neighbours: they differ at the border only.
     inner = (slice(3, -3), slice(3, -3))
     np.testing.assert_allclose(found[inner], np.asarray(wanted)[inner], atol=2e-3)
@@ -30,7 +33,7 @@ def test_paste_undoes_cut():
     rows, columns = np.mgrid[0:96, 0:40]
     image = jnp.asarray(0.5 + 0.3 * np.sin(rows / 15) * np.cos(columns / 9), jnp.float32)
     box = Box(12.0, 6.0, 60.0, 24.0)
-    back = np.asarray(paste_patch(cut_box(image, box), box, image.shape))
+    back = np.asarray(paste(cut(image, box, PATCH), box, image.shape))
     np.testing.assert_allclose(back[15:69, 9:27], np.asarray(image)[15:69, 9:27], atol=5e-3)
     assert (back[:11] == 0.5).all() and (back[:, 31:] == 0.5).all()
 

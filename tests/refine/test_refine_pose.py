@@ -14,12 +14,14 @@ from sonarjax.refine.free import ALL
 from sonarjax.refine.template import Subject, draw, layers_with_slope, nominal_law, paint_with_slope
 from sonarjax.render import Window
 from sonarjax.render.region import leaning_room
+from tests.refine.engines import Optimised
 
 SONAR = sj.Sonar.preset("didson-hf", tilt=math.radians(20.0), height=0.9)
 GREY = np.array([0.5, 1.0, 0.0], np.float32)
 COUNT = 4
 CONFIG = sj.RefineConfig(polish=0)
 MESH = sj.objects.target()
+ENGINE = Optimised()
 OFF = np.array([math.radians(8), 0.02, 0.02, 0.02, math.radians(6), math.radians(6)])
 UNITS = dict(zip(ALL, ("rad", "m", "m", "m", "rad", "rad"), strict=True))
 
@@ -70,7 +72,9 @@ def size(start):
 
 
 def test_a_leaning_pose_is_found_on_labels(truth, start, frames, size):
-    found = sj.refine_pose(GREY[np.asarray(frames.labels())], MESH, SONAR, start, free=ALL, config=CONFIG, window=size)
+    found = sj.refine_pose(
+        GREY[np.asarray(frames.labels())], MESH, SONAR, start, free=ALL, config=CONFIG, window=size, engine=ENGINE
+    )
     angle = np.degrees((rotation(truth).inv() * rotation(found.pose)).magnitude())
     away = np.linalg.norm(numbers(found.pose)[:, 1:4] - numbers(truth)[:, 1:4], axis=1)
     print(f"\nrotation {angle.round(2)}°, place {(1000 * away).round(2)} mm")
@@ -87,7 +91,7 @@ def test_standard_deviations_are_those_of_many_noisy_frames(truth, frames, size)
     config, image = replace(CONFIG, sharpness=0.0, blurs=(0.5, 0.3)), np.asarray(frames.semantic())[0]
     noise = np.random.default_rng(5).normal(0, 0.1, (24, *image.shape)).astype(np.float32)
     there = jax.tree.map(lambda v: np.full(24, np.asarray(v)[0], np.float32), truth)
-    found = sj.refine_pose(image + noise, MESH, SONAR, there, free=ALL, config=config, window=size)
+    found = sj.refine_pose(image + noise, MESH, SONAR, there, free=ALL, config=config, window=size, engine=ENGINE)
     values = numbers(found.pose)
     values[:, 0] = (values[:, 0] - float(truth.yaw[0]) + np.pi) % (2 * np.pi)
     scatter, said = values.std(axis=0, ddof=1), np.sqrt((np.asarray(found.std) ** 2).mean(axis=0))
@@ -103,7 +107,14 @@ def test_standard_deviations_are_those_of_many_noisy_frames(truth, frames, size)
 
 def test_nothing_is_guessed_of_an_even_image(start, size):
     found = sj.refine_pose(
-        np.full(SONAR.shape, 0.5, np.float32), MESH, SONAR, pick(start, 0), free=ALL, config=CONFIG, window=size
+        np.full(SONAR.shape, 0.5, np.float32),
+        MESH,
+        SONAR,
+        pick(start, 0),
+        free=ALL,
+        config=CONFIG,
+        window=size,
+        engine=ENGINE,
     )
     assert not np.asarray(found.observable).any()
     np.testing.assert_allclose(numbers(found.pose)[1:], numbers(pick(start, 0))[1:])

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import sonarjax as sj
-from sonarjax.engine import Engine
 from sonarjax.refine.objective import make_blur, normalised
 from sonarjax.refine.template import labelled
+from tests.refine.engines import Optimised
 
 SONAR = sj.Sonar.preset("didson-hf", tilt=math.radians(20.0), height=0.9)
 GREY = np.array([0.5, 1.0, 0.0], np.float32)
@@ -20,8 +20,8 @@ CONFIG = sj.RefineConfig()
 SIZE = sj.plan_refinement(sj.objects.target(), SONAR, sj.Pose(2.3), CONFIG)  # one for all, so that all share a compile
 
 
-def refine(image, mesh, start, mask=None, config=CONFIG, **how):
-    return sj.refine_yaw(image, mesh, SONAR, start, mask=mask, config=config, window=SIZE, **how)
+def refine(image, mesh, start, mask=None, config=CONFIG, engine=Optimised()):  # noqa: B008
+    return sj.refine_yaw(image, mesh, SONAR, start, mask=mask, config=config, window=SIZE, engine=engine)
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +83,7 @@ def test_several_starts_keep_their_axis_and_a_batch_equals_single_frames(scene):
     assert refine(images[0], mesh, pick(starts, (0, 0))).yaw.shape == ()
 
 
-class Watching(Engine):
+class Watching(Optimised):
     """An engine that notes what decides compiled code."""
 
     def __init__(self):
@@ -92,7 +92,7 @@ class Watching(Engine):
     def run(self, function, *args, **static):
         leaves, tree = jax.tree.flatten(args)
         self.seen.add((function, str(tree), tuple(np.shape(v) for v in leaves), tuple(sorted(static.items(), key=str))))
-        return function(*args, **static)
+        return super().run(function, *args, **static)
 
 
 def test_batches_of_any_size_and_configs_of_all_numbers_share_compiled_code(scene):

@@ -28,6 +28,11 @@ def rough():
     return Mesh.from_arrays(shape.vertices * radius[:, None] + [0, 0, 0.16], shape.faces, name="rough")
 
 
+@pytest.fixture(scope="module")
+def reduced(rough, sonar):
+    return reduced_for(rough, sonar)
+
+
 def test_tolerance_is_a_share_of_bin_and_beam():
     def sonar(**given):
         return Sonar.preset("didson-hf", range_min=1.5, range_max=4.0, **given)
@@ -47,8 +52,8 @@ def test_shipped_objects_stay_as_they_are(sonar, name):
     assert found.error.largest == 0.0
 
 
-def test_fine_mesh_is_reduced_and_its_labels_stay(sonar, rough):
-    found = reduced_for(rough, sonar)
+def test_fine_mesh_is_reduced_and_its_labels_stay(sonar, rough, reduced):
+    found = reduced
     assert found.before == 20_480 and found.after < found.before / 2
     assert found.error.usual <= mesh_tolerance(sonar)
     pose = Pose(x=2.3, y=0.0, yaw=0.4)
@@ -58,17 +63,17 @@ def test_fine_mesh_is_reduced_and_its_labels_stay(sonar, rough):
     assert (before == after)[either].mean() > 0.98
 
 
-def test_what_is_asked_for_is_done(sonar, rough):
+def test_what_is_asked_for_is_done(sonar, rough, reduced):
     assert reduced_for(rough, sonar, 0.0).mesh is rough
     assert reduced_for(rough, sonar, 1e-9).mesh is rough  # nothing to be gained within a nanometre
-    assert reduced_for(rough, sonar, 0.004).after < reduced_for(rough, sonar).after
+    assert reduced_for(rough, sonar, 0.004).after < reduced.after
     with pytest.raises(SonarjaxError, match="tolerance"):
         reduced_for(rough, sonar, -0.001)
 
 
-def test_bank_of_a_rough_body_is_that_of_finer_slabs(sonar, rough):
+def test_bank_of_a_rough_body_is_that_of_finer_slabs(sonar, reduced):
     """A bank puts no slabs at a rough body's edges; many even slabs tell what it ought to show."""
-    mesh = reduced_for(rough, sonar).mesh
+    mesh = reduced.mesh
     assert mesh.crease.shape[-1] > mesh.events  # else there is nothing to leave out
     banks = [template_bank(mesh, sonar, [0.3, 2.0], x=2.3, quality=RenderQuality(sub_beams=n)) for n in (1, 6)]
     quick, fine = (np.digitize(in_frame(bank, sonar), [0.25, 0.75]) for bank in banks)

@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 from safetensors.numpy import load_file
 
+from sonarjax.io import SonarjaxError
+from sonarjax.segment.training.devices import join_processes
 from tests.segment.training_runs import PROJECT, QUICK, recorded
 
 
@@ -65,19 +67,20 @@ def test_two_processes_train_the_smoke_recipe_as_one_does(tmp_path: Path) -> Non
     assert all((after[name] == two[name]).all() for name in two)
 
 
-@pytest.mark.parametrize(
-    ("environment", "said"),
-    [
-        ({"SONARJAX_COORDINATOR": "127.0.0.1:1"}, "expected numbers in SONARJAX_PROCESSES and SONARJAX_PROCESS"),
-        (
-            {"SONARJAX_COORDINATOR": "127.0.0.1:1", "SONARJAX_PROCESSES": "two", "SONARJAX_PROCESS": "0"},
-            "expected numbers in SONARJAX_PROCESSES and SONARJAX_PROCESS",
-        ),
-    ],
-)
-def test_environment_that_cannot_be_used(environment: dict[str, str], said: str, tmp_path: Path) -> None:
-    error = finish(begin(tmp_path / "run", **environment), 2)
-    assert said in error and error.count("\n") == 1 and not (tmp_path / "run").exists()
+NUMBERS = "expected numbers in SONARJAX_PROCESSES and SONARJAX_PROCESS"
+
+
+def test_a_coordinator_without_numbers_is_one_line(tmp_path: Path) -> None:
+    error = finish(begin(tmp_path / "run", SONARJAX_COORDINATOR="127.0.0.1:1"), 2)
+    assert NUMBERS in error and error.count("\n") == 1 and not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("numbers", [{}, {"PROCESSES": "two", "PROCESS": "0"}, {"PROCESSES": "2"}])
+def test_numbers_of_processes_that_cannot_be_used(numbers: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in ({"COORDINATOR": "127.0.0.1:1"} | numbers).items():
+        monkeypatch.setenv(f"SONARJAX_{name}", value)
+    with pytest.raises(SonarjaxError, match=NUMBERS):
+        join_processes()
 
 
 @pytest.mark.slow

@@ -10,9 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sonarjax.scene import Pose
-from sonarjax.scene.objects import brick
-from sonarjax.sensor import SensorModel, observe_scene, range_middles
+from sonarjax.render import SonarFrame
+from sonarjax.sensor import SensorModel, observe, range_middles
 from sonarjax.sensor.beams import dim_beams, group_gains, other_pings
 from sonarjax.sensor.bottom import ripple_brightness, slow_brightness
 from sonarjax.sensor.display import compress
@@ -88,8 +87,12 @@ def test_wide_draws_fill_their_ranges_and_seldom_fields_are_seldom() -> None:
 
 
 def test_each_oddity_alone_changes_a_frame(key: jax.Array) -> None:
-    mesh, pose = brick(), Pose(x=2.1)
-    see = jax.jit(lambda model: observe_scene(mesh, pose, SONAR, model, key=key)[0])
+    echo = jnp.zeros(SONAR.shape).at[40:60, 40:60].set(1.0)
+    shadow = jnp.roll(echo, 20, axis=0)
+    floor = SONAR.range_bin / range_middles(SONAR)[:, None] ** 3
+    intensity = floor * (1 - shadow) * (1 + 3 * echo)
+    frame = SonarFrame(intensity, echo, shadow, intensity > 0, jnp.zeros((), jnp.int32), SONAR)
+    see = jax.jit(lambda model: observe(frame, model, key=key))
     plain = np.asarray(see(jax.tree.map(jnp.float32, SensorModel.nominal())))
     for name in SELDOM:
         changed = replace(SensorModel.nominal(), **{name: (WIDE[name][0] + WIDE[name][1]) / 2})
