@@ -29,7 +29,7 @@ from experiments.common.recognizers import recognizers
 from experiments.common.runs import Job
 from experiments.common.scores import target
 from experiments.common.segmenters import Name, map_of
-from sonarjax.refine import FRAME_BLURS, FRAME_ITERATIONS, MAP_REFINEMENT, on_frame
+from sonarjax.refine import FRAME_BLURS, MAP_REFINEMENT, on_frame
 
 BLURS = ((2.0, 0.8), (4.0, 1.5), (1.0, 0.5))
 SHARPNESSES = (0.0, 10.0)
@@ -82,7 +82,7 @@ class Way(NamedTuple):
 # With what is not compared, as the iterations.
 AS_USED = {
     "semantic": MAP_REFINEMENT,
-    "echo": replace(MAP_REFINEMENT, iterations=FRAME_ITERATIONS, template="echo"),
+    "echo": replace(MAP_REFINEMENT, iterations=on_frame(MAP_REFINEMENT).iterations, template="echo"),
     "either": on_frame(MAP_REFINEMENT),
 }
 USED = Way("both", "either", FRAME_BLURS, MAP_REFINEMENT.sharpness, MAP_REFINEMENT.margin)

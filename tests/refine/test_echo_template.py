@@ -11,7 +11,7 @@ import pytest
 
 import sonarjax as sj
 from sonarjax.recognize import refine_on_frame
-from sonarjax.refine import FRAME_BLURS, FRAME_ITERATIONS, MAP_REFINEMENT
+from sonarjax.refine import MAP_REFINEMENT, on_frame
 from sonarjax.refine.template import Subject, draw, layers_with_slope, nominal_law, paint_with_slope
 from sonarjax.render import RenderQuality, place_window, plan_window
 from sonarjax.sensor import SensorModel, observe_scene
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.slow
 SONAR = sj.Sonar.preset("didson-hf", tilt=math.radians(20.0), height=0.9)
 YAWS = np.radians([11.0, 77.0, 141.0, 218.0, 303.0]).astype(np.float32)
 X, Y = 2.3, 0.05
-PLAIN = replace(MAP_REFINEMENT, blurs=FRAME_BLURS, iterations=FRAME_ITERATIONS)
+PLAIN = replace(on_frame(MAP_REFINEMENT), template="semantic")
 ON_FRAME = (PLAIN, replace(PLAIN, template="echo"))
 QUIET = replace(SensorModel.nominal(), speckle=0.0, texture=0.0)  # but with its bounce on the floor
 
