@@ -3,8 +3,8 @@
 python -m experiments.fit_refinement [--preset smoke] [--help]
 
 Refined is on the segmenter's map, on the frame itself, or on the map and then on the frame, to which the semantic image
-or the echo is fitted: one row a setting and segmenter, best first; what stands in `sonarjax.recognize` is marked. Test
-and real frames play no part.
+or the echo is fitted: one row a setting and segmenter, best first; what `recognize` does is marked, and also tried with
+fewer and with more iterations. Test and real frames play no part.
 """
 
 from __future__ import annotations
@@ -34,6 +34,8 @@ from sonarjax.refine import FRAME_BLURS, MAP_REFINEMENT, on_frame
 BLURS = ((2.0, 0.8), (4.0, 1.5), (1.0, 0.5))
 SHARPNESSES = (0.0, 10.0)
 MARGINS = (MAP_REFINEMENT.margin, None)
+ITERATIONS = (2, 4, 8, 16, 32)
+"""Other numbers of iterations at each blur, tried with all else as `recognize` does it."""
 HALF = NormalDist().inv_cdf(0.75)
 
 HEADS = {
@@ -41,11 +43,13 @@ HEADS = {
     "median": "median [°]",
     "p95": "95 % [°]",
     "besides": "besides yaw_std [°]",
+    "settled": "settled",
     "on": "on",
     "template": "template",
     "blurs": "blurs",
     "sharpness": "sharpness",
     "margin": "margin",
+    "iterations": "iterations",
     "used": "",
 }
 
@@ -77,15 +81,11 @@ class Way(NamedTuple):
     blurs: tuple[float, ...]
     sharpness: float
     margin: tuple[int, int] | None
+    iterations: int
 
 
-# With what is not compared, as the iterations.
-AS_USED = {
-    "semantic": MAP_REFINEMENT,
-    "echo": replace(MAP_REFINEMENT, iterations=on_frame(MAP_REFINEMENT).iterations, template="echo"),
-    "either": on_frame(MAP_REFINEMENT),
-}
-USED = Way("both", "either", FRAME_BLURS, MAP_REFINEMENT.sharpness, MAP_REFINEMENT.margin)
+ON_FRAME = on_frame(MAP_REFINEMENT)
+USED = Way("both", "either", FRAME_BLURS, ON_FRAME.sharpness, ON_FRAME.margin, ON_FRAME.iterations)
 """What `recognize` does."""
 
 
@@ -100,8 +100,9 @@ def ways(most: int, segmenter: str) -> list[Way]:
     chosen |= {("frame", "echo"): plain, ("both", "echo"): plain}
     if segmenter == "none":
         del chosen["map", "semantic"]
-    compared = [Way(*what, *setting) for what, all_of_it in chosen.items() for setting in all_of_it]
-    return [*compared, USED]
+    iterations = {"semantic": MAP_REFINEMENT.iterations, "echo": USED.iterations}
+    compared = [Way(*what, *how, iterations[what[1]]) for what, all_of_it in chosen.items() for how in all_of_it]
+    return [*compared, USED, *(USED._replace(iterations=count) for count in ITERATIONS)]
 
 
 def run(settings: Settings, job: Job) -> Report:
@@ -121,11 +122,11 @@ def run(settings: Settings, job: Job) -> Report:
 
 def _measure(frames: list[TestFrame], most: int, segmenter: str) -> list[dict[str, Any]]:
     return [
-        {"segmenter": segmenter, "besides": besides(error, std)}
+        {"segmenter": segmenter, "besides": besides(error, std), "settled": float(settled.mean())}
         | summary_deg(error)
         | way._asdict()
         | {"used": way == USED}
-        for way, (error, std, _) in errors(frames, segmenter, most).items()
+        for way, (error, std, settled) in errors(frames, segmenter, most).items()
     ]
 
 
@@ -142,7 +143,10 @@ def besides(error: np.ndarray, std: np.ndarray) -> float:
 
 
 def errors(frames: list[TestFrame], segmenter: str, most: int) -> dict[Way, np.ndarray]:
-    """Yaw error [deg], `yaw_std` [deg] and score (3, frame) of each way from `recognize`'s start; 0 is all ways."""
+    """Yaw error [deg], `yaw_std` [deg] and whether it settled (3, frame), of each way, from `recognize`'s start.
+
+    `most` as in `ways`.
+    """
     mesh, recognizer_of = target(), recognizers(target(), refine=None)
     found: dict[Way, list[tuple[float, ...]]] = defaultdict(list)
     for frame in tqdm(frames, desc=segmenter, unit="frame", leave=False):
@@ -154,11 +158,11 @@ def errors(frames: list[TestFrame], segmenter: str, most: int) -> dict[Way, np.n
         begun["both"] = frame.image, on_map.pose
         for way in ways(most, segmenter):
             image, at = begun[way.on]
-            tried = {"blurs": way.blurs, "sharpness": way.sharpness, "margin": way.margin}
-            config = replace(AS_USED[way.template], **tried)
+            tried = {name: value for name, value in way._asdict().items() if name != "on"}
+            config = replace(MAP_REFINEMENT, **tried)
             estimate = sj.refine_yaw(image, mesh, sonar, at, config=config, engine=engine())
             error = yaw_error_deg(estimate.yaw, frame.yaw)
-            found[way].append((float(error), math.degrees(float(estimate.yaw_std)), float(estimate.score)))
+            found[way].append((float(error), math.degrees(float(estimate.yaw_std)), float(estimate.converged)))
     return {way: np.array(values).T for way, values in found.items()}
 
 
