@@ -8,7 +8,7 @@ from sonarjax.refine.find import FINDING, PoseFinder
 from sonarjax.refine.pose import Drawn, PoseEstimate, plan_refinement, prepare_refinement, refine_pose
 from sonarjax.refine.starts import (
     FRAME_BLURS,
-    FRAME_PATIENCE,
+    FRAME_ITERATION_FACTOR,
     MAP_REFINEMENT,
     Candidate,
     Start,
@@ -35,7 +35,7 @@ from sonarjax.refine.yaw_set import (
 )
 
 __all__ = [
-    "COMPARISON", "ERROR_BAR", "FINDING", "FRAME_BLURS", "FRAME_PATIENCE", "MAP_REFINEMENT", "SAME_YAW",
+    "COMPARISON", "ERROR_BAR", "FINDING", "FRAME_BLURS", "FRAME_ITERATION_FACTOR", "MAP_REFINEMENT", "SAME_YAW",
     "YAW_WEIGHTS", "Candidate", "Drawn", "ErrorBar", "Evidence", "Look", "PoseEstimate", "PoseFinder", "RefineConfig",
     "Start", "YawEstimate", "YawInterval", "YawMode", "YawSet", "YawWeights", "apart", "compared", "curve_evidence",
     "gather_evidence", "in_common", "in_view", "is_kept", "locate", "look_closely", "make_starts", "make_yaw_set",

@@ -29,8 +29,10 @@ blur, it would follow the uneven floor of a grey frame. A plain template (sharpn
 applied to speckle does not give a clean label image."""
 FRAME_BLURS = (1.0, 0.5)
 """Blurs [range bins] of the refinement on the frame itself, which starts from the result on the map."""
-FRAME_PATIENCE = 3
-"""Renders at each of these blurs, relative to the refinement on the map: with speckle it takes more steps to settle."""
+FRAME_ITERATION_FACTOR = 3
+"""Largest number of renders at each of these blurs, relative to the refinement on the map [1].
+
+In a speckled frame it takes more steps to settle: experiments/fit_refinement.py compares numbers of iterations."""
 BESIDE = math.radians(10.0)
 """How far from the best yaw a score is compared with the highest [rad]."""
 
@@ -155,7 +157,7 @@ def peak_bins(scores: np.ndarray, yaws: np.ndarray, count: int) -> list[int]:
 
 def on_frame(config: RefineConfig) -> RefineConfig:
     """Derive the config for refinement on the frame itself from `config`, that of the refinement on the map."""
-    blurs, iterations = FRAME_BLURS[-len(config.blurs) :], FRAME_PATIENCE * config.iterations
+    blurs, iterations = FRAME_BLURS[-len(config.blurs) :], FRAME_ITERATION_FACTOR * config.iterations
     return replace(config, blurs=blurs, iterations=iterations, template="either")
 
 
