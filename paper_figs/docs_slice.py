@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 
 from paper_figs import style
 from sonarjax.render.segments import Segments, View, cut
+from sonarjax.render.vector import Vector
 from sonarjax.render.visibility import VisibleIntervals, visible_intervals
 from sonarjax.scene import objects
 
@@ -34,7 +35,9 @@ def slice_of_boxes() -> tuple[Segments, VisibleIntervals]:
         jnp.float32(math.tan(LOWEST)), jnp.float32(math.tan(HIGHEST)), jnp.array([0.0, 0.0, 1.0]), jnp.float32(HEIGHT_M)
     )
     # A little off the middle, where the diagonals of the boxes' faces cross it in one point each.
-    segments = cut(jnp.asarray(np.concatenate(corners), jnp.float32)[None], jnp.full((1, 1), 0.013), view)
+    around = jnp.asarray(np.concatenate(corners), jnp.float32)[None]
+    triangles = tuple(Vector(*jnp.moveaxis(around[..., k, :], -1, 0)) for k in range(3))
+    segments = cut(triangles, jnp.full((1, 1), 0.013), view)
     return segments, visible_intervals(segments, False, 16)
 
 

@@ -151,18 +151,20 @@ def render_layers(
     """
     views = _views(subject, pose_at(subject.start, step, subject.free), floor_path)
 
-    def seen(view: Any) -> Array:
+    def seen(view: Any, shares: Any) -> Array:
         vertices, faces, lift, height, aperture = view
         placed = replace(subject.mesh, vertices=vertices, faces=faces)
         lifted = subject.sonar.replace(height=height, elevation_aperture=aperture)
-        return jnp.stack(render_echo(placed, Pose(z=lift), lifted, subject.window, subject.quality, subject.views > 1))
+        place = Pose(z=lift), lifted, subject.window, subject.quality
+        return jnp.stack(render_echo(placed, *place, subject.views > 1, shares))
 
-    # Views are rendered one after the other, so that the renderer is compiled once.
+    # Views are rendered one after the other, so that the renderer is compiled once. The mirror image's shares of pixels
+    # are not used.
     if reverse:
-        return jax.lax.map(seen, views)
+        return jax.lax.map(lambda numbered: seen(*numbered), (views, jnp.arange(2) == 0))
     nothing = jnp.zeros((2, 3, *subject.window.shape))
     return jax.lax.fori_loop(
-        0, subject.views, lambda k, done: done.at[k].set(seen(jax.tree.map(lambda v: v[k], views))), nothing
+        0, subject.views, lambda k, done: done.at[k].set(seen(jax.tree.map(lambda v: v[k], views), k == 0)), nothing
     )
 
 

@@ -10,7 +10,8 @@ from jaxtyping import Array, Float
 
 from sonarjax.render.segments import plane_line
 from sonarjax.render.slabs import Slabs
-from sonarjax.render.spans import Ends, Scene, corners_of, floor_line, interval_range, trace_tau
+from sonarjax.render.spans import Ends, Scene, corners_of, floor_line, interval_range, reach_of, trace_tau
+from sonarjax.render.vector import normal_of, unit
 from sonarjax.sonar import Sonar
 
 USUAL_INTERVALS = 16  # a slice usually shows about this many intervals, however many it has room for
@@ -99,14 +100,11 @@ def _cells(ends: Ends, azimuth: Float[Array, "slab"], scene: Scene, cells: int) 
     tau = low[..., None] + jnp.maximum(high - low, 0.0)[..., None] * share
     intervals = low.shape[-1]
     distance = interval_range(line[..., :intervals, None, :], tau)
-    corners = corners[:, :intervals]
-    normal = jnp.cross(corners[..., 1, :] - corners[..., 0, :], corners[..., 2, :] - corners[..., 0, :])
-    normal = normal / jnp.sqrt((normal**2).sum(-1, keepdims=True) + 1e-24)
-    lateral = normal[..., 0] * jnp.cos(theta) + normal[..., 1] * jnp.sin(theta)
-    cosine = jnp.abs(lateral[..., None] + normal[..., 2, None] * tau) / jnp.sqrt(1 + tau * tau)
-    reach = jnp.cos(theta)[..., None] * corners[..., 0] + jnp.sin(theta)[..., None] * corners[..., 1]  # planar range
+    corners = jax.tree.map(lambda v: v[:, :intervals], corners)
+    normal = unit(normal_of(corners))
     slant = jnp.sqrt(1 + tau * tau)
-    nearest, farthest = (v[..., None] * slant for v in (reach.min(-1), reach.max(-1)))
+    cosine = jnp.abs(normal.turned(theta)[0][..., None] + normal.z[..., None] * tau) / slant
+    nearest, farthest = (reach[..., None] * slant for reach in reach_of(corners, theta))
     nearest, farthest = (
         jnp.minimum(nearest[..., 1:], nearest[..., :-1]),
         jnp.maximum(farthest[..., 1:], farthest[..., :-1]),

@@ -11,6 +11,8 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from sonarjax.render.vector import Corners, Vector, normal_of
+
 NEAR_M = 1e-2  # surfaces nearer to the sonar head than this are cut off
 
 # What ends a visible interval. Spans use it to recompute that end from the vertices, as a differentiable number.
@@ -46,46 +48,42 @@ class Segments(NamedTuple):
 
 
 def plane_line(
-    corners: Float[Array, "*#batch 3 3"], azimuth: Float[Array, "*#batch"]
+    corners: Corners, azimuth: Float[Array, "*#batch"]
 ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
-    """Line s = a + b·tau that the plane of each triangle (..., corner, xyz) [m] becomes at `azimuth` [rad].
+    """Line s = a + b·tau that the plane of each triangle becomes at `azimuth` [rad].
 
     Returns:
         (a, b) [1/m].
     """
-    first = corners[..., 0, :]
-    normal = jnp.cross(corners[..., 1, :] - first, corners[..., 2, :] - first)
-    offset = (normal * first).sum(-1)
+    normal = normal_of(corners)
+    offset = normal.dot(corners[0])
     # A plane through the sonar head is seen edge-on and has no line. Its offset is replaced by a small one of the same
     # sign, so that nothing jumps. A padding triangle has no area and no normal: 1e-14 keeps its derivatives finite.
-    floor = 1e-7 * jnp.sqrt((normal * normal).sum(-1) + 1e-14)
+    floor = 1e-7 * jnp.sqrt(normal.dot(normal) + 1e-14)
     safe = jnp.where(jnp.abs(offset) > floor, offset, jnp.where(offset < 0, -floor, floor))
-    gradient = normal / safe[..., None]
-    a = gradient[..., 0] * jnp.cos(azimuth) + gradient[..., 1] * jnp.sin(azimuth)
-    return a, jnp.broadcast_to(gradient[..., 2], a.shape)
+    gradient = normal / safe
+    a = gradient.turned(azimuth)[0]
+    return a, jnp.broadcast_to(gradient.z, a.shape)
 
 
 def edge_point(
-    start: Float[Array, "*#batch 3"], end: Float[Array, "*#batch 3"], azimuth: Float[Array, "*#batch"]
+    start: Vector, end: Vector, azimuth: Float[Array, "*#batch"]
 ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
     """Planar range and height (rho, z) [m] of the point where the edge from `start` to `end` [m] crosses `azimuth`
     [rad].
     """
-    c, s = jnp.cos(azimuth), jnp.sin(azimuth)
-    u0, u1 = c * start[..., 1] - s * start[..., 0], c * end[..., 1] - s * end[..., 0]
+    (rho0, u0), (rho1, u1) = start.turned(azimuth), end.turned(azimuth)
     step = u0 - u1
     safe = jnp.abs(step) > 1e-9
     share = jnp.clip(jnp.where(safe, u0 / jnp.where(safe, step, 1.0), 0.5), 0.0, 1.0)
-    rho0, rho1 = c * start[..., 0] + s * start[..., 1], c * end[..., 0] + s * end[..., 1]
-    return rho0 + share * (rho1 - rho0), start[..., 2] + share * (end[..., 2] - start[..., 2])
+    return rho0 + share * (rho1 - rho0), start.z + share * (end.z - start.z)
 
 
-def cut(corners: Float[Array, "*#batch 3 3"], azimuth: Float[Array, "*#batch"], view: View) -> Segments:
-    """Cut triangles (..., corner, xyz) [m] at `azimuth` [rad]; keep what is inside the aperture and above the floor."""
-    c, s = jnp.cos(azimuth), jnp.sin(azimuth)
-    side = [c * corners[..., k, 1] - s * corners[..., k, 0] > 0 for k in range(3)]  # to port of the slice
+def cut(corners: Corners, azimuth: Float[Array, "*#batch"], view: View) -> Segments:
+    """Cut triangles at `azimuth` [rad]; keep what is inside the aperture and above the floor."""
+    side = [corner.turned(azimuth)[1] > 0 for corner in corners]  # to port of the slice
     crossed = [side[k] != side[(k + 1) % 3] for k in range(3)]  # two of the edges, or none
-    point = [edge_point(corners[..., k, :], corners[..., (k + 1) % 3, :], azimuth) for k in range(3)]
+    point = [edge_point(corners[k], corners[(k + 1) % 3], azimuth) for k in range(3)]
     first = tuple(jnp.where(crossed[0], a, b) for a, b in zip(point[0], point[1], strict=True))
     second = tuple(jnp.where(crossed[2], a, b) for a, b in zip(point[2], point[1], strict=True))
     edge = jnp.where(crossed[0], 0, 1), jnp.where(crossed[2], 2, 1)

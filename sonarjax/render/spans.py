@@ -9,7 +9,8 @@ vertices.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import reduce
 from typing import NamedTuple
 
 import jax
@@ -29,6 +30,7 @@ from sonarjax.render.segments import (
     edge_point,
     plane_line,
 )
+from sonarjax.render.vector import Corners, Vector, normal_of, take_points, unit
 from sonarjax.render.visibility import TOUCH, VisibleIntervals
 from sonarjax.scene.mesh import CREASE_ANGLE
 
@@ -192,10 +194,10 @@ def _running_count(flags: Bool[Array, "slab interval"]) -> Int[Array, "slab inte
     return (flags.astype(jnp.float32) @ jnp.triu(jnp.ones((count, count)))).astype(jnp.int32)  # exact below 2**24
 
 
-def _over_intervals(reduce: Callable[..., Array], values: Array) -> Array:
-    """`reduce` (a minimum, a maximum, any) over axis 1, in blocks: XLA's CPU code for one long axis is far slower."""
+def _over_intervals(reduction: Callable[..., Array], values: Array) -> Array:
+    """A minimum, a maximum or any over axis 1, in blocks: XLA's CPU code for one long axis is far slower."""
     blocks = jnp.array_split(values, -(-values.shape[1] // BLOCK), axis=1)
-    return reduce(jnp.stack([reduce(block, axis=1) for block in blocks]), axis=0)
+    return reduction(jnp.stack([reduction(block, axis=1) for block in blocks]), axis=0)
 
 
 def _extreme(value: Float[Array, "slab interval"], chain: Bool[Array, "slab interval item"], sign: int) -> Array:
@@ -285,9 +287,11 @@ class Scene(NamedTuple):
     """Aperture and floor."""
 
 
-def corners_of(scene: Scene, triangle: Int[Array, "*batch"]) -> Float[Array, "*batch 3 3"]:
-    """Corners (..., corner, xyz) [m] of triangles by id (-1 is read as 0)."""
-    return scene.vertices[scene.faces[jnp.maximum(triangle, 0)]]
+def corners_of(scene: Scene, triangle: Int[Array, "*batch"]) -> Corners:
+    """Corners of triangles by id (-1 is read as 0)."""
+    number = scene.faces[jnp.maximum(triangle, 0)]
+    first, second, third = (take_points(scene.vertices, number[..., k]) for k in range(3))
+    return first, second, third
 
 
 def floor_line(azimuth: Float[Array, "*batch"], view: View) -> tuple[Array, Array]:
@@ -307,9 +311,7 @@ def trace_tau(
         The elevation tangent of each end, and the slant range [m] of the source triangle's edge there.
     """
     corners = corners_of(scene, ends.source)
-    first = _corner(corners, ends.edge)
-    second = _corner(corners, (ends.edge + 1) % 3)
-    rho, z = edge_point(first, second, azimuth)
+    rho, z = edge_point(*_edge(corners, ends.edge), azimuth)
     a, b = plane_line(corners, azimuth)
     floor_a, floor_b = floor_line(azimuth, scene.view)
     at_floor = ends.kind == FLOOR
@@ -323,9 +325,13 @@ def trace_tau(
     return jnp.where(meets, crossing, tau), jnp.sqrt(rho * rho + z * z + 1e-12)
 
 
-def _corner(corners: Float[Array, "*batch 3 3"], index: Int[Array, "*batch"]) -> Float[Array, "*batch 3"]:
-    i = index[..., None]
-    return jnp.where(i == 0, corners[..., 0, :], jnp.where(i == 1, corners[..., 1, :], corners[..., 2, :]))
+def _edge(corners: Corners, edge: Int[Array, "*batch"]) -> tuple[Vector, Vector]:
+    """Start and end of each triangle's edge 0, 1 or 2."""
+
+    def corner(number: Array) -> Vector:
+        return jax.tree.map(lambda *v: jnp.where(number == 0, v[0], jnp.where(number == 1, v[1], v[2])), *corners)
+
+    return corner(edge), corner((edge + 1) % 3)
 
 
 def trace_ranges(spans: Spans, azimuth: Float[Array, "slab"], scene: Scene) -> Float[Array, "slab end"]:
@@ -344,8 +350,7 @@ def trace_ranges(spans: Spans, azimuth: Float[Array, "slab"], scene: Scene) -> F
     line = [jnp.where(on_object, o, f) for o, f in zip(surface, floor_line(theta, scene.view), strict=True)]
     # No point of a triangle is nearer than its nearest corner or farther than its farthest corner, measured along the
     # slice. Its plane has no such bounds: the plane of a facet seen edge-on is far away at a slightly other azimuth.
-    reach = jnp.cos(theta)[..., None] * corners[..., 0] + jnp.sin(theta)[..., None] * corners[..., 1]
-    nearest, farthest = jnp.maximum(reach.min(-1), NEAR_M), jnp.maximum(reach.max(-1), NEAR_M)
+    nearest, farthest = (jnp.maximum(reach, NEAR_M) for reach in reach_of(corners, theta))
     s = line[0] + line[1] * tau
     s = jnp.where(on_object, jnp.clip(s, 1 / farthest, 1 / nearest), jnp.maximum(s, HORIZON))
     at_perpendicular = jnp.maximum(jax.lax.rsqrt(surface[0] ** 2 + surface[1] ** 2 + 1e-12), nearest)
@@ -355,39 +360,43 @@ def trace_ranges(spans: Spans, azimuth: Float[Array, "slab"], scene: Scene) -> F
     return jnp.where(own, edge_range, ranges)
 
 
+def reach_of(
+    corners: Corners, azimuth: Float[Array, "*#batch"]
+) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+    """Nearest and farthest planar range [m] of each triangle's corners, measured along the slice at `azimuth` [rad]."""
+    ahead = [corner.turned(azimuth)[0] for corner in corners]
+    return reduce(jnp.minimum, ahead), reduce(jnp.maximum, ahead)
+
+
 def facet_width(spans: Spans, azimuth: Float[Array, "slab"], scene: Scene) -> Float[Array, "slab end"]:
     """Azimuth [rad] over which each end can be followed: the width, seen from above, of its edge or its surface if
     narrower.
 
     Only the ends of echo spans lie on a surface of their own; those of occluded spans lie on the floor.
     """
-    c, s = jnp.cos(azimuth)[:, None, None], jnp.sin(azimuth)[:, None, None]
 
-    def around(points: Float[Array, "slab item point 3"]) -> Float[Array, "slab item"]:
-        ahead = jnp.maximum(c * points[..., 0] + s * points[..., 1], NEAR_M)
-        aside = (c * points[..., 1] - s * points[..., 0]) / ahead
-        return aside.max(-1) - aside.min(-1)
+    def around(points: Sequence[Vector]) -> Float[Array, "slab item"]:
+        turned = [point.turned(azimuth[:, None]) for point in points]
+        aside = [port / jnp.maximum(ahead, NEAR_M) for ahead, port in turned]
+        return reduce(jnp.maximum, aside) - reduce(jnp.minimum, aside)
 
     ends = spans.ends
-    corners = corners_of(scene, ends.source)
-    edge = jnp.stack([_corner(corners, ends.edge), _corner(corners, (ends.edge + 1) % 3)], axis=-2)
-    surface = around(corners_of(scene, ends.surface))
-    width = jnp.where(spans.on_object, surface, jnp.inf)
-    return jnp.where(ends.kind == EDGE, jnp.minimum(width, around(edge)), width)
+    width = jnp.where(spans.on_object, around(corners_of(scene, ends.surface)), jnp.inf)
+    edge = around(_edge(corners_of(scene, ends.source), ends.edge))
+    return jnp.where(ends.kind == EDGE, jnp.minimum(width, edge), width)
 
 
 def incidence_cosine(
     intervals: VisibleIntervals,
     segments: Segments,
-    corners: Float[Array, "slab candidate 3 3"],
+    corners: Corners,
     azimuth: Float[Array, "slab"],
 ) -> Float[Array, "slab interval"]:
     """Cosine of the angle between a facet's normal and the ray to the middle of its interval."""
-    normal = jnp.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0])
-    normal = normal / (jnp.sqrt((normal**2).sum(-1, keepdims=True)) + 1e-20)
-    n = jnp.take_along_axis(normal, jnp.maximum(intervals.winner, 0)[..., None], axis=1)
+    index = jnp.maximum(intervals.winner, 0)
+    normal = jax.tree.map(lambda v: jnp.take_along_axis(v, index, axis=1), unit(normal_of(corners)))
     tau = intervals.tau.mean(-1)
-    along = n[..., 0] * jnp.cos(azimuth)[:, None] + n[..., 1] * jnp.sin(azimuth)[:, None] + n[..., 2] * tau
+    along = normal.turned(azimuth[:, None])[0] + normal.z * tau
     return jnp.abs(along) / jnp.sqrt(1 + tau * tau)
 
 

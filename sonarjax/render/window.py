@@ -20,7 +20,7 @@ from sonarjax.render.energy import floor_energy, floor_lit, object_energy
 from sonarjax.render.frame import RenderQuality, SonarFrame, Window
 from sonarjax.render.materialise import materialised
 from sonarjax.render.platform import platform_lit, platform_span
-from sonarjax.render.rasterise import covered, covered_by_each, spread
+from sonarjax.render.rasterise import covered, covered_and_spread, covered_by_each, weighted
 from sonarjax.render.segments import Segments, View, cut
 from sonarjax.render.slabs import Slabs, event_azimuths, make_slabs
 from sonarjax.render.spans import (
@@ -254,6 +254,7 @@ def render_echo(
     window: Window,
     quality: RenderQuality,
     by_facet: Bool[Array, ""] | bool = True,
+    shares: Bool[Array, ""] | bool = True,
 ) -> EchoLayers:
     """Render an object's echo facet by facet, with its highlight and shadow, in a window of the image.
 
@@ -270,16 +271,26 @@ def render_echo(
         quality: How finely to render.
         by_facet: If false, a smooth chain of facets counts as one. The highlight is then that of `render_window`, and
             the echo is even over the chain.
+        shares: If false, only the echo is rendered; highlight and shadow are zero.
 
     Returns:
         Layers (range, beam) of the window.
     """
     seen = _look(mesh, None, pose, sonar, window, quality, jnp.asarray(by_facet))
-    spans, shown = seen.visible.spans, seen.echo_spans
+    spans, shown, rows = seen.visible.spans, seen.echo_spans, window.shape[0]
     length = stop_gradient(shown[0][:, 1] - shown[0][:, 0])
     density = jnp.where(spans.echo_spans, spans.angle / jnp.maximum(length, 1.0), 0.0)
-    echo = jnp.maximum(_per_beam(seen.slabs, spread(*shown, density, window.shape[0])), 0.0)
-    return EchoLayers(echo, *_shares(seen))
+
+    def all_three() -> EchoLayers:
+        highlight, echo = covered_and_spread(*shown, spans.echo_spans, rows, density)
+        shadow = covered(*seen.occluded_spans, spans.occluded_spans, rows)
+        return EchoLayers(*(_per_beam(seen.slabs, v) for v in (jnp.maximum(echo, 0.0), highlight, shadow)))
+
+    def echo_alone() -> EchoLayers:
+        echo = _per_beam(seen.slabs, jnp.maximum(weighted(*shown, density[..., None], rows)[:, 0], 0.0))
+        return EchoLayers(echo, jnp.zeros_like(echo), jnp.zeros_like(echo))
+
+    return jax.lax.cond(jnp.asarray(shares), all_three, echo_alone)
 
 
 def _slabs_of(mesh: Mesh, scene: Scene, sonar: Sonar, window: Window, sub_beams: int) -> Slabs:
