@@ -20,9 +20,9 @@ from sonarjax.refine import (
     ERROR_BAR,
     MAP_REFINEMENT,
     SAME_YAW,
-    Evidence,
     Look,
     RefineConfig,
+    RefinedStart,
     Start,
     YawEstimate,
     apart,
@@ -37,7 +37,7 @@ from sonarjax.refine import (
     plan_shared,
     prepare_refinement,
     quick_evidence,
-    refine_start,
+    refine_starts,
     refine_yaw,
 )
 from sonarjax.render import WindowSize
@@ -246,20 +246,15 @@ class Recognizer:
         starts = make_starts(*look, seen, image, self.search.hypotheses)
         if self.first_look is not None:  # a frame already takes long with many targets
             starts = apart(starts)
-        matched = len(starts)
         for pose in expected:
             found = look.in_map._replace(x=float(pose.x), y=float(pose.y))
             starts.append(Start(found, starts[0].bin, seen, pose))
 
-        def refined(start: Start) -> tuple[YawEstimate, Pose, Evidence]:
-            assert self.refine is not None
-            window = self._window(start.candidate.search, Pose(x=start.candidate.x, y=start.candidate.y))
-            return refine_start(start, image, seen, mask, self.refine, window, self.engine)
+        def window_of(start: Start) -> WindowSize | None:
+            return self._window(start.candidate.search, Pose(x=start.candidate.x, y=start.candidate.y))
 
-        # Each start is a call of its own, so that one that settles early waits for no other.
-        parts = enumerate(self.engine.map(refined, starts))
-        # Where refinement does not settle, an expected pose is what was expected and not what the frame shows.
-        return _result(look, [part for k, part in parts if k < matched or bool(is_kept(part[0]))])
+        assert self.refine is not None
+        return _result(look, refine_starts(starts, image, seen, mask, self.refine, window_of, self.engine))
 
     def _with_geometry(
         self, one: Hypothesis, search: TargetSearch, image: np.ndarray, mask: np.ndarray | None
@@ -334,8 +329,9 @@ def _widened(config: RefineConfig, yaw_bins: int) -> RefineConfig:
     return replace(config, bounds=(max(yaw, 2 * math.pi / yaw_bins), x, y))
 
 
-def _result(look: Look, parts: Sequence[tuple[YawEstimate, Pose, Evidence]]) -> _Result:
+def _result(look: Look, refined: Sequence[RefinedStart]) -> _Result:
     """Gather a look's refined starts as hypotheses, with the evidence for the best; its score is set later."""
+    parts = [(one.estimate, one.pose, one.evidence) for one in refined]
     estimate, pose, gathered = jax.tree.map(lambda *values: np.stack([np.asarray(v) for v in values]), *parts)
     curves = curve_evidence(*look)
     stds = ERROR_BAR.std(estimate.yaw_std, curves["map_drop"], curves["frame_drop"], gathered.left_over)

@@ -14,11 +14,10 @@ from sonarjax.match import SearchConfig, TargetSearch
 from sonarjax.refine import (
     MAP_REFINEMENT,
     curve_evidence,
-    is_kept,
     locate,
     make_starts,
     plan_refinement,
-    refine_start,
+    refine_starts,
 )
 from sonarjax.render import WindowSize
 from sonarjax.scene import Mesh, Pose
@@ -62,14 +61,11 @@ def _detect(
     in_map = locate(banks, frame.seen, frame.mask)
     in_frame = None if segmenter.name == "none" else locate(banks, frame.image, frame.mask)
     starts = make_starts(in_map, in_frame, frame.seen, frame.image, banks.config.hypotheses)
-    found = engine.map(
-        lambda start: refine_start(start, frame.image, frame.seen, frame.mask, MAP_REFINEMENT, window, engine), starts
-    )
-    scores = [float(np.where(is_kept(e), e.score, e.start_score)) for e, _, _ in found]
-    _, pose, gathered = found[int(np.argmax(scores))]
-    evidence = {name: float(value) for name, value in vars(gathered).items()} | curve_evidence(in_map, in_frame)
+    how = MAP_REFINEMENT, lambda _: window, engine
+    best = refine_starts(starts, frame.image, frame.seen, frame.mask, *how)[0]
+    evidence = {name: float(value) for name, value in vars(best.evidence).items()} | curve_evidence(in_map, in_frame)
     rule = segmenter.rule
-    return Detection(pose, in_map.score if rule is None else rule.probability(evidence))
+    return Detection(best.pose, in_map.score if rule is None else rule.probability(evidence))
 
 
 def best_height(

@@ -6,6 +6,7 @@ from sonarjax.refine.errorbar import ERROR_BAR, ErrorBar
 from sonarjax.refine.evidence import Evidence, gather_evidence
 from sonarjax.refine.find import FINDING, PoseFinder
 from sonarjax.refine.pose import Drawn, PoseEstimate, plan_refinement, prepare_refinement, refine_pose
+from sonarjax.refine.staged import RefinedStart, refine_starts
 from sonarjax.refine.starts import (
     FRAME_BLURS,
     FRAME_ITERATION_FACTOR,
@@ -18,7 +19,6 @@ from sonarjax.refine.starts import (
     make_starts,
     on_frame,
     peak_bins,
-    refine_start,
 )
 from sonarjax.refine.views import in_common, in_view
 from sonarjax.refine.yaw import YawEstimate, refine_and_draw, refine_yaw
@@ -37,8 +37,8 @@ from sonarjax.refine.yaw_set import (
 __all__ = [
     "COMPARISON", "ERROR_BAR", "FINDING", "FRAME_BLURS", "FRAME_ITERATION_FACTOR", "MAP_REFINEMENT", "SAME_YAW",
     "YAW_WEIGHTS", "Candidate", "Drawn", "ErrorBar", "Evidence", "Look", "PoseEstimate", "PoseFinder", "RefineConfig",
-    "Start", "YawEstimate", "YawInterval", "YawMode", "YawSet", "YawWeights", "apart", "compared", "curve_evidence",
-    "gather_evidence", "in_common", "in_view", "is_kept", "locate", "look_closely", "make_starts", "make_yaw_set",
-    "merged", "on_frame", "peak_bins", "plan_refinement", "plan_shared", "prepare_refinement", "quick_evidence",
-    "refine_and_draw", "refine_pose", "refine_start", "refine_yaw", "shares",
+    "RefinedStart", "Start", "YawEstimate", "YawInterval", "YawMode", "YawSet", "YawWeights", "apart", "compared",
+    "curve_evidence", "gather_evidence", "in_common", "in_view", "is_kept", "locate", "look_closely", "make_starts",
+    "make_yaw_set", "merged", "on_frame", "peak_bins", "plan_refinement", "plan_shared", "prepare_refinement",
+    "quick_evidence", "refine_and_draw", "refine_pose", "refine_starts", "refine_yaw", "shares",
 ]  # fmt: skip

@@ -197,10 +197,11 @@ def search_pose(
 
     def job(k: int) -> tuple[PoseEstimate, Drawn]:
         begin = jax.tree.map(lambda v: v[k], starts)
-        done = engine.run(_refine, images[which[k]], weights[which[k]], mesh, sonar, begin, *settings, **static)
-        return jax.tree.map(np.asarray, done)
+        return engine.run(_refine, images[which[k]], weights[which[k]], mesh, sonar, begin, *settings, **static)
 
-    found = engine.map(job, range(count))
+    if not axes:  # nothing to stack, which takes milliseconds
+        return job(0)
+    found = engine.map(lambda k: jax.tree.map(np.asarray, job(k)), range(count))
     return jax.tree.map(lambda *v: jax.device_put(np.stack(v).reshape((*axes, *v[0].shape))), *found)
 
 

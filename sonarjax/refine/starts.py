@@ -1,4 +1,4 @@
-"""Refine a match to a pose and gather the evidence for it: first on the segmenter's map, then on the frame itself."""
+"""Where refinement starts, how it goes on from the map to the frame, and the evidence for what it finds."""
 
 from __future__ import annotations
 
@@ -13,8 +13,7 @@ from sonarjax.match import Match, TargetSearch, between_bins, peaks
 from sonarjax.refine.config import RefineConfig
 from sonarjax.refine.evidence import Evidence, gather_evidence
 from sonarjax.refine.pose import Drawn
-from sonarjax.refine.yaw import YawEstimate, refine_and_draw, refine_yaw
-from sonarjax.render import WindowSize
+from sonarjax.refine.yaw import YawEstimate
 from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS
 from sonarjax.scene import Pose
 
@@ -122,31 +121,6 @@ def make_starts(
     if in_frame is not None:
         starts.append(Start(in_frame, int(in_frame.match.scores.argmax()), image))
     return starts
-
-
-def refine_start(
-    start: Start, image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None, config: RefineConfig,
-    window: WindowSize | None, engine: Engine,
-) -> tuple[YawEstimate, Pose, Evidence]:  # fmt: skip
-    """Refine a start in the picture in which it was found, then on the frame itself.
-
-    Args:
-        start: The start.
-        image: The frame (range, beam).
-        seen: The frame's semantic map (range, beam).
-        mask: Which pixels were measured; None for all.
-        config: How to refine on the first picture; `on_frame` derives the second refinement from it.
-        window: Size of the window, large enough for the start.
-        engine: What runs the refinement.
-
-    Returns:
-        The estimate on the frame, the pose to use (see `kept_pose`) and the evidence for the target.
-    """
-    search, found = start.candidate.search, start.begin
-    how: dict[str, Any] = {"mask": mask, "window": window, "engine": engine}
-    first = kept_pose(refine_yaw(start.picture, search.mesh, search.sonar, found, config=config, **how), found)
-    estimate, drawn = refine_and_draw(image, search.mesh, search.sonar, first, config=on_frame(config), **how)
-    return estimate, kept_pose(estimate, first), evidence_of(drawn, image, seen, mask, engine)
 
 
 def peak_bins(scores: np.ndarray, yaws: np.ndarray, count: int) -> list[int]:

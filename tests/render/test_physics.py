@@ -135,7 +135,8 @@ def test_floor_patch():
     np.testing.assert_array_equal(lit[certain], inside[certain])
     assert (np.asarray(bare.intensity)[~lit] == 0).all()
     # The object is as bright as on an endless floor, and its shadow ends with the platform.
-    np.testing.assert_allclose(frame.highlight, endless.highlight, atol=1e-4)  # two units in the last place of an end [bins]
+    # A difference of 1e-4 is a few units in the last place of an end [bins].
+    np.testing.assert_allclose(frame.highlight, endless.highlight, atol=1e-4)
     shadow, whole = np.asarray(frame.shadow), np.asarray(endless.shadow)
     assert whole[~inside].max() > 0.99  # the case cuts the shadow
     deep, off = _eroded(inside), _eroded(~inside)

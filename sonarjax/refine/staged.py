@@ -1,0 +1,125 @@
+"""Refine the starts of a frame in stages, so that most of the work goes to the best of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from sonarjax.engine import Engine
+from sonarjax.refine.config import RefineConfig
+from sonarjax.refine.evidence import Evidence
+from sonarjax.refine.pose import Drawn
+from sonarjax.refine.starts import Start, evidence_of, is_kept, kept_pose, on_frame
+from sonarjax.refine.yaw import YawEstimate, refine_and_draw
+from sonarjax.render import WindowSize
+from sonarjax.scene import Pose
+
+MAP_ITERATIONS, FRAME_ITERATIONS = 1, 2
+"""Most renders at each blur while there are several starts: first on the map, then on the frame."""
+MAP_LEAD, FRAME_LEAD = 0.2, 0.1
+"""A start whose score is lower than the best by more than this is refined no further, on the map and on the frame.
+
+On validation frames the best start lagged by at most .17 on the map, and .1 on the frame."""
+SAME_POSE = math.radians(5.0), 0.02
+"""Poses that differ by less than this in yaw [rad] and in place [m] after the brief refinement count as one."""
+
+
+class RefinedStart(NamedTuple):
+    """A start, refined on the frame."""
+
+    start: Start
+    """The start."""
+    estimate: YawEstimate
+    """The estimate on the frame."""
+    pose: Pose
+    """The refined pose, or that before this refinement where it is not kept (see `kept_pose`)."""
+    evidence: Evidence
+    """The evidence for the target at this pose."""
+
+    @property
+    def score(self) -> float:
+        """The score that belongs to the pose."""
+        return _score(self.estimate)
+
+
+def refine_starts(
+    starts: Sequence[Start], image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None, config: RefineConfig,
+    window_of: Callable[[Start], WindowSize | None], engine: Engine,
+) -> list[RefinedStart]:  # fmt: skip
+    """Refine starts, each in the picture in which it was found and then on the frame itself.
+
+    All are refined briefly. Then the best one is refined until it settles, and so are those that score nearly as high.
+    The second refinement on the frame also begins with the widest blur, and chooses template and echo law anew: on
+    validation frames of severity 1.5 this makes the mean error of yaw 17 % smaller.
+
+    Args:
+        starts: The starts. Those with a pose of their own count only where refinement settles or fits better.
+        image: The frame (range, beam).
+        seen: The frame's semantic map (range, beam).
+        mask: Which pixels were measured; None for all.
+        config: How to refine on the map; `on_frame` derives the refinement on the frame from it.
+        window_of: Gives the size of a window that is large enough for a start.
+        engine: What runs the refinement.
+
+    Returns:
+        Different poses, best first. Those that score far less than the best are refined only briefly.
+    """
+
+    def refine(start: Start, picture: np.ndarray, pose: Pose, how: RefineConfig) -> tuple[YawEstimate, Drawn]:
+        search = start.candidate.search
+        return refine_and_draw(picture, search.mesh, search.sonar, pose, mask, how, window_of(start), engine)
+
+    def in_picture(start: Start) -> tuple[Start, float, Pose]:
+        estimate, _ = refine(start, start.picture, start.begin, _at_most(config, MAP_ITERATIONS))
+        return start, _score(estimate), kept_pose(estimate, start.begin)
+
+    def in_frame(start: Start, pose: Pose, how: RefineConfig) -> RefinedStart:
+        estimate, drawn = refine(start, image, pose, how)
+        return RefinedStart(start, estimate, kept_pose(estimate, pose), evidence_of(drawn, image, seen, mask, engine))
+
+    final = on_frame(config)
+    brief = _at_most(final, FRAME_ITERATIONS)
+    placed = _leading_on_map(engine.map(in_picture, starts), seen)
+    found = engine.map(lambda item: in_frame(item[0], item[2], brief), placed)
+    poses = different(sorted(filter(_counts, found), key=lambda one: -one.score))
+    leading = [one for one in poses if one.score >= poses[0].score - FRAME_LEAD]
+    settled = engine.map(lambda one: in_frame(one.start, one.pose, final), leading)
+    return sorted([*settled, *poses[len(leading) :]], key=lambda one: -one.score)
+
+
+def different(found: Sequence[RefinedStart]) -> list[RefinedStart]:
+    """Those whose pose is not that of an earlier one."""
+    kept: list[RefinedStart] = []
+    for one in found:
+        if not any(_same(one.pose, other.pose) for other in kept):
+            kept.append(one)
+    return kept
+
+
+def _leading_on_map(placed: list[tuple[Start, float, Pose]], seen: np.ndarray) -> list[tuple[Start, float, Pose]]:
+    """Leave out starts from the map that fit it far worse than the best of them."""
+    best = max((score for start, score, _ in placed if start.picture is seen), default=0.0)
+    return [one for one in placed if one[0].picture is not seen or one[0].pose is not None or one[1] >= best - MAP_LEAD]
+
+
+def _at_most(config: RefineConfig, iterations: int) -> RefineConfig:
+    return replace(config, iterations=min(config.iterations, iterations))
+
+
+def _score(estimate: YawEstimate) -> float:
+    return float(np.where(is_kept(estimate), np.asarray(estimate.score), np.asarray(estimate.start_score)))
+
+
+def _counts(found: RefinedStart) -> bool:
+    """False for an expected pose that refinement does not confirm: it is not what the frame shows."""
+    return found.start.pose is None or bool(is_kept(found.estimate))
+
+
+def _same(one: Pose, other: Pose) -> bool:
+    turned = abs(math.remainder(float(one.yaw) - float(other.yaw), 2 * math.pi))
+    moved = math.hypot(float(one.x) - float(other.x), float(one.y) - float(other.y))
+    return turned < SAME_POSE[0] and moved < SAME_POSE[1]
