@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -29,6 +29,7 @@ from sonarjax.refine import (
     compared,
     curve_evidence,
     is_kept,
+    locate,
     look_closely,
     make_starts,
     on_frame,
@@ -136,10 +137,8 @@ class Recognizer:
         given = None if semantic is None else _checked(semantic, mask, self.sonar, "semantic")[0]
         least = self._threshold(threshold, given is not None)
         self._prepare()
-        seen = self.segmenter.semantic(image, mask, self.engine) if given is None else given
         rule = self.segmenter.rule if given is None and self.refine is not None else None
-        pictures = self._pictures(image, seen, given is None)
-        looks = look_closely(self.targets, self.first_look, self.search, pictures, mask, self.engine)
+        seen, looks = self._looks(image, mask, given)
         results = self._results(looks, image, seen, mask, starts, rule)
         best, second = results[0], results[1] if len(results) > 1 else None
         found = best.look.in_map
@@ -206,10 +205,26 @@ class Recognizer:
             raise SonarjaxError(f"threshold: expected a number, because {what} has no threshold of its own")
         return float(own if threshold is None else threshold)  # type: ignore[arg-type]
 
-    def _pictures(self, image: np.ndarray, seen: np.ndarray, segmented: bool) -> tuple[np.ndarray, ...]:
-        """The images to match: the map, and the frame itself, which may succeed where a segmenter fails."""
-        on_frame_too = segmented and self.refine is not None and self.segmenter.name != "none"
-        return (seen, image) if on_frame_too else (seen,)
+    def _looks(
+        self, image: np.ndarray, mask: np.ndarray | None, given: np.ndarray | None
+    ) -> tuple[np.ndarray, list[Look]]:
+        """The semantic map, `given` or the segmenter's, and how the targets match map and frame, best first.
+
+        The frame itself is matched too where there is another map, because it may succeed where a segmenter fails.
+        """
+
+        def segmented() -> np.ndarray:
+            return self.segmenter.semantic(image, mask, self.engine) if given is None else given
+
+        frame_too = given is None and self.refine is not None and self.segmenter.name != "none"
+        if frame_too and self.first_look is None:  # side by side, because either keeps only one core busy
+            (search,) = self.targets.values()
+            tasks: list[Callable[[], Any]] = [segmented, lambda: locate(search, image, mask)]
+            seen, in_frame = self.engine.map(lambda task: task(), tasks)
+            return seen, [Look(locate(search, seen, mask), in_frame)]
+        seen = segmented()
+        pictures = (seen, image) if frame_too else (seen,)
+        return seen, look_closely(self.targets, self.first_look, self.search, pictures, mask, self.engine)
 
     def _results(
         self, looks: Sequence[Look], image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None,
