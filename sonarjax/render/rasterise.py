@@ -88,8 +88,8 @@ def _below(
 def _below_jvp(rows: int, primals: tuple, tangents: tuple) -> tuple[Array, Array]:
     """Derivative written by hand, as products of matrices.
 
-    What an end adds depends on how many of the slab's azimuths it has passed at each edge, which is the same for
-    derivatives in all directions. Autodiff would compute it anew for each, at 1.7 times the time for three.
+    What an end adds depends on the share of the slab's azimuths at which it has passed an edge. This is the same for
+    derivatives in all directions, but XLA would compute what autodiff makes of it anew for each.
     """
     middle, half, weights = primals
     moved, widened, _ = tangents

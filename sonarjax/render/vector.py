@@ -1,7 +1,6 @@
 """Points in space with an array for each coordinate: a CPU computes with them several times faster than with one array.
 
-XLA's CPU code does not vectorise arithmetic along a last axis of three. Derivatives suffer most: those of the ends of
-spans take a quarter of the time this way.
+XLA's CPU code does not vectorise arithmetic along a last axis of three, and derivatives suffer most.
 """
 
 from __future__ import annotations

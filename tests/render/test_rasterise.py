@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sonarjax.render.rasterise import covered, covered_by_each
+from sonarjax.render.rasterise import covered, covered_and_spread, covered_by_each, ramp, weighted
 
 ROWS, SLABS, ITEMS, OWNERS = 24, 5, 4, 3
 STEPS = 400
@@ -50,3 +51,35 @@ def test_all_owners_together_cover_what_one_pass_finds(spans):
     together, apart = covered_by_each(*map(jnp.asarray, (middle, half, present)), ROWS, jnp.asarray(owner), OWNERS)
     np.testing.assert_allclose(together, covered(*map(jnp.asarray, (middle, half, present)), ROWS), atol=1e-5)
     assert np.isfinite(apart).all() and (np.asarray(apart).max(axis=(1, 2)) > 0.5).all()
+
+
+def test_density_is_spread_over_what_its_span_covers(spans):
+    middle, half, present, _ = spans
+    half = np.sign(half) * np.minimum(np.abs(half), (middle[:, 1] - middle[:, 0])[:, None] / 2)
+    density = np.where(present, np.arange(1.0, ITEMS + 1), 0.0)
+    together, spread = covered_and_spread(*map(jnp.asarray, (middle, half, present)), ROWS, jnp.asarray(density))
+    each = [counted(middle, half, present & (np.arange(ITEMS) == item)) for item in range(ITEMS)]
+    np.testing.assert_allclose(together, counted(middle, half, present), atol=5e-3)
+    np.testing.assert_allclose(spread, sum((k + 1) * one for k, one in enumerate(each)), atol=2e-2)
+
+
+@pytest.mark.parametrize("sums", [1, 2, 3])
+def test_derivatives_are_those_that_autodiff_finds(rng, sums):
+    near = rng.uniform(-2, ROWS, (SLABS, ITEMS))
+    middle = jnp.asarray(np.stack([near, near + rng.uniform(0.5, 6, near.shape)], axis=1), jnp.float32)
+    half = jnp.asarray(rng.uniform(-3, 3, middle.shape), jnp.float32)
+    weights = jnp.asarray(rng.uniform(size=(SLABS, ITEMS, sums)), jnp.float32)
+    along = tuple(jnp.asarray(rng.normal(size=middle.shape), jnp.float32) for _ in range(2))
+
+    def plain(middle, half):
+        edges = jnp.arange(ROWS + 1, dtype=jnp.float32)
+        length = ramp(middle[:, 0], half[:, 0], edges) - ramp(middle[:, 1], half[:, 1], edges)
+        return jnp.diff(jnp.einsum("sie,sik->ske", length, weights), axis=-1)
+
+    (value, slope), (expected, expected_slope) = (
+        jax.jvp(function, (middle, half), along) for function in (lambda m, h: weighted(m, h, weights, ROWS), plain)
+    )
+    np.testing.assert_allclose(value, expected, atol=1e-5)
+    np.testing.assert_allclose(slope, expected_slope, atol=1e-4)
+    back = jax.grad(lambda m: (weighted(m, half, weights, ROWS) ** 2).sum())(middle)
+    np.testing.assert_allclose(back, jax.grad(lambda m: (plain(m, half) ** 2).sum())(middle), atol=1e-3)
