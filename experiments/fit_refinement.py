@@ -3,8 +3,8 @@
 python -m experiments.fit_refinement [--preset smoke] [--help]
 
 Refined is on the segmenter's map, on the frame itself, or on the map and then on the frame, to which the semantic image
-or the echo is fitted: one row a setting and segmenter, best first; what `recognize` does is marked, and also tried with
-fewer and with more iterations. Test and real frames play no part.
+or the echo is fitted: one row a setting and segmenter, best first. How `recognize` refines last is marked, and also
+tried with fewer and with more iterations. Test and real frames play no part.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ class Way(NamedTuple):
 
 ON_FRAME = on_frame(MAP_REFINEMENT)
 USED = Way("both", "either", FRAME_BLURS, ON_FRAME.sharpness, ON_FRAME.margin, ON_FRAME.iterations)
-"""What `recognize` does."""
+"""How `recognize` refines last; its brief refinements before that are left out (`sonarjax.refine.refine_starts`)."""
 
 
 def ways(most: int, segmenter: str) -> list[Way]:
