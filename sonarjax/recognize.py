@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -29,7 +29,6 @@ from sonarjax.refine import (
     compared,
     curve_evidence,
     is_kept,
-    locate,
     look_closely,
     make_starts,
     on_frame,
@@ -213,16 +212,8 @@ class Recognizer:
         The frame itself is matched too where there is another map, because it may succeed where a segmenter fails.
         """
 
-        def segmented() -> np.ndarray:
-            return self.segmenter.semantic(image, mask, self.engine) if given is None else given
-
         frame_too = given is None and self.refine is not None and self.segmenter.name != "none"
-        if frame_too and self.first_look is None:  # side by side, because either keeps only one core busy
-            (search,) = self.targets.values()
-            tasks: list[Callable[[], Any]] = [segmented, lambda: locate(search, image, mask)]
-            seen, in_frame = self.engine.map(lambda task: task(), tasks)
-            return seen, [Look(locate(search, seen, mask), in_frame)]
-        seen = segmented()
+        seen = self.segmenter.semantic(image, mask, self.engine) if given is None else given
         pictures = (seen, image) if frame_too else (seen,)
         return seen, look_closely(self.targets, self.first_look, self.search, pictures, mask, self.engine)
 
