@@ -211,7 +211,6 @@ class Recognizer:
 
         The frame itself is matched too where there is another map, because it may succeed where a segmenter fails.
         """
-
         frame_too = given is None and self.refine is not None and self.segmenter.name != "none"
         seen = self.segmenter.semantic(image, mask, self.engine) if given is None else given
         pictures = (seen, image) if frame_too else (seen,)
