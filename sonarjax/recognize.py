@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 
 from sonarjax.calibrate import stated_std, yaw_std_of_geometry
@@ -28,7 +27,6 @@ from sonarjax.refine import (
     apart,
     compared,
     curve_evidence,
-    is_kept,
     look_closely,
     make_starts,
     on_frame,
@@ -335,24 +333,23 @@ def _widened(config: RefineConfig, yaw_bins: int) -> RefineConfig:
 
 
 def _result(look: Look, refined: Sequence[RefinedStart]) -> _Result:
-    """Gather a look's refined starts as hypotheses, with the evidence for the best; its score is set later."""
-    parts = [(one.estimate, one.pose, one.evidence) for one in refined]
-    estimate, pose, gathered = jax.tree.map(lambda *values: np.stack([np.asarray(v) for v in values]), *parts)
-    curves = curve_evidence(*look)
-    stds = ERROR_BAR.std(estimate.yaw_std, curves["map_drop"], curves["frame_drop"], gathered.left_over)
-    hypotheses = _hypotheses(estimate, pose, stds)
-    order = int(np.argmax([one.score for one in hypotheses]))
-    evidence = {name: float(values[order]) for name, values in vars(gathered).items()}
-    evidence |= curves | {"curvature_std": float(estimate.yaw_std[order])}
-    return _Result(look, math.nan, _distinct(hypotheses), float(pose.x[order]), float(pose.y[order]), evidence)
+    """A look's refined starts, best first, as hypotheses, with the evidence for the best; its score is set later."""
+    best, curves = refined[0], curve_evidence(*look)
+    curvature, left_over = (
+        np.stack([np.asarray(value) for value in values])
+        for values in zip(*((one.estimate.yaw_std, one.evidence.left_over) for one in refined), strict=True)
+    )
+    stds = ERROR_BAR.std(curvature, curves["map_drop"], curves["frame_drop"], left_over)
+    hypotheses = [_hypothesis(one, float(std)) for one, std in zip(refined, stds, strict=True)]
+    evidence = {name: float(value) for name, value in vars(best.evidence).items()}
+    evidence |= curves | {"curvature_std": float(best.estimate.yaw_std)}
+    return _Result(look, math.nan, _distinct(hypotheses), float(best.pose.x), float(best.pose.y), evidence)
 
 
-def _hypotheses(estimate: YawEstimate, pose: Pose, stds: np.ndarray) -> list[Hypothesis]:
-    """A hypothesis for each of the `pose`s that were kept, with its error bar and the score that belongs to it."""
-    scores = np.where(is_kept(estimate), np.asarray(estimate.score), np.asarray(estimate.start_score))
-    columns = pose.yaw, scores, stds, estimate.converged, pose.x, pose.y
-    rows = zip(*(np.asarray(column).tolist() for column in columns), strict=True)
-    return [Hypothesis(_wrap(yaw), score, std, settled, x, y) for yaw, score, std, settled, x, y in rows]
+def _hypothesis(one: RefinedStart, std: float) -> Hypothesis:
+    """The start's refined pose, with the standard deviation of its yaw [rad] and the score that belongs to it."""
+    pose, settled = one.pose, bool(one.estimate.converged)
+    return Hypothesis(_wrap(pose.yaw), one.score, std, settled, float(pose.x), float(pose.y))
 
 
 def _distinct(hypotheses: list[Hypothesis]) -> tuple[Hypothesis, ...]:

@@ -18,8 +18,8 @@ from sonarjax.refine.yaw import YawEstimate, refine_and_draw
 from sonarjax.render import WindowSize
 from sonarjax.scene import Pose
 
-MAP_ITERATIONS, FRAME_ITERATIONS = 1, 2
-"""Most renders at each blur while there are several starts: first on the map, then on the frame."""
+BRIEF_ON_MAP, BRIEF_ON_FRAME = 1, 2
+"""Most renders at each blur of the brief refinements that every start gets."""
 LEAD = 0.1
 """A start whose score on the frame is lower than the best by more than this is refined no further.
 
@@ -68,6 +68,9 @@ def refine_starts(
 
     Returns:
         Different poses, best first. Those that score far less than the best are refined only briefly.
+
+    Raises:
+        SonarjaxError: As `refine_yaw` does.
     """
 
     def refine(start: Start, picture: np.ndarray, pose: Pose, how: RefineConfig) -> tuple[YawEstimate, Drawn]:
@@ -79,8 +82,8 @@ def refine_starts(
         return RefinedStart(start, estimate, kept_pose(estimate, pose), evidence_of(drawn, image, seen, mask, engine))
 
     def briefly(start: Start) -> RefinedStart:
-        estimate, _ = refine(start, start.picture, start.begin, _at_most(config, MAP_ITERATIONS))
-        return in_frame(start, kept_pose(estimate, start.begin), _at_most(final, FRAME_ITERATIONS))
+        estimate, _ = refine(start, start.picture, start.begin, _at_most(config, BRIEF_ON_MAP))
+        return in_frame(start, kept_pose(estimate, start.begin), _at_most(final, BRIEF_ON_FRAME))
 
     final = on_frame(config)
     found = filter(_counts, engine.map(briefly, starts))

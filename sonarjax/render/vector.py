@@ -55,7 +55,7 @@ Corners: TypeAlias = tuple[Vector, Vector, Vector]
 
 
 def take_points(points: Float[Array, "point 3"], index: Int[Array, "*batch"]) -> Vector:
-    """The points of these numbers."""
+    """The `points` (point, xyz) [m] at `index`, as a vector (*batch)."""
     return Vector(*(points[:, k][index] for k in range(3)))
 
 
