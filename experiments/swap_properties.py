@@ -40,6 +40,7 @@ MODELS: dict[str, dict[str, float]] = {
     "display: arctangent": {"log_share": 0.0, "exponent": 0.5, "saturation": 5.0},
     "late reverberation": {"reverberation": 0.3},
     "floor bounce, strong": {"floor_bounce": 0.6},
+    "floor bounce, one way": {"floor_bounce_once": 0.5},
     "gain slope": {"tvg_exponent": 2.7},
     "K-distributed floor": {"texture": 0.6},
     "Weibull speckle": {"speckle": 1.3},

@@ -46,7 +46,7 @@ def object_layers(
     window = Window(0, column, size.shape, size.object_columns)
     quality = RenderQuality(sub_beams=1)
     subject = Subject(mesh, sonar, start, window, jnp.float32(0), jnp.int32(VIEWS["echo"]), nominal_law(), quality)
-    return render_layers(subject, step, floor_path=floor_path)
+    return render_layers(subject, step, floor_paths=(floor_path,))
 
 
 def picture(

@@ -48,7 +48,7 @@ class RefineConfig:
     """The template that is fitted: `semantic`, `echo` or `either`.
 
     `echo` is for a frame as the device stored it. It shows shadow and floor, each facet as bright as the elevation that
-    its echo collects, and the object's bounce on the floor, whose strength is also fitted (`sharpness` is not used
+    its echo collects, and the object's bounces on the floor, whose energies are also fitted (`sharpness` is not used
     then). `either` takes the template that fits the start better.
     """
 

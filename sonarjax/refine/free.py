@@ -36,9 +36,9 @@ ON_FLOOR = ("yaw", "x", "y")
 """The numbers that are free for an object standing on the floor, as in `refine_yaw`."""
 ALL = tuple(NUMBERS)
 """All six numbers."""
-BOUNCE = Number(0.2, 2e-2, "1")
-"""The energy left after a bounce on the floor. It is fitted together with the pose, and follows its numbers in
-a step.
+BOUNCES = (Number(0.2, 2e-2, "1"),) * 2
+"""The energies left of echoes that bounce on the floor: on one way, and on both. They are fitted together with the
+pose, and follow its numbers in a step.
 """
 
 
@@ -62,13 +62,13 @@ def in_order(free: Sequence[str], known: Iterable[str]) -> tuple[str, ...]:
 
 
 def trusts(free: Sequence[str]) -> tuple[float, ...]:
-    """Largest step of each `free` number, and of the bounce's energy."""
-    return *(NUMBERS[name].trust for name in free), BOUNCE.trust
+    """Largest step of each `free` number, and of the bounces' energies."""
+    return *(NUMBERS[name].trust for name in free), *(bounce.trust for bounce in BOUNCES)
 
 
 def displacements(free: Sequence[str]) -> tuple[float, ...]:
-    """Displacements of central differences by each `free` number, and by the bounce's energy."""
-    return *(NUMBERS[name].displacement for name in free), BOUNCE.displacement
+    """Displacements of central differences by each `free` number, and by the bounces' energies."""
+    return *(NUMBERS[name].displacement for name in free), *(bounce.displacement for bounce in BOUNCES)
 
 
 def pose_at(start: Pose, step: Float[Array, "step"], free: Sequence[str]) -> Pose:

@@ -17,7 +17,7 @@ from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.records import record, static
 from sonarjax.refine.config import SLACK_M, RefineConfig
-from sonarjax.refine.free import ON_FLOOR, check_free, displacements, pose_at, trusts
+from sonarjax.refine.free import BOUNCES, ON_FLOOR, check_free, displacements, pose_at, trusts
 from sonarjax.refine.implicit import attach, hessian, is_minimum, without_gradient
 from sonarjax.refine.objective import Problem, crop_score, make_blur
 from sonarjax.refine.solver import INSIDE, SETTLED_SHARE, STATIONARY_SHARE, Search, Solution, begun, coarse_to_fine
@@ -258,7 +258,8 @@ def _static(config: RefineConfig, size: WindowSize, free: tuple[str, ...], hold:
 
 def _settings(config: RefineConfig, free: tuple[str, ...]) -> tuple[Any, ...]:
     """A config's numbers as traced values, so that searches of all kinds share compiled code."""
-    bounds = [*((-config.bound(name), config.bound(name)) for name in free), BOUNCE_BOUNDS[config.template]]
+    bounces = [BOUNCE_BOUNDS[config.template]] * len(BOUNCES)
+    bounds = [*((-config.bound(name), config.bound(name)) for name in free), *bounces]
     search = Search(
         bounds=np.asarray(bounds, np.float32).T,
         blurs=np.asarray(config.blurs, np.float32),
@@ -338,7 +339,7 @@ def _searched(
     that the renderer is compiled once.
     """
     prior, count = prior_std(jnp.asarray(search.bounds)), len(problem.subject.free)
-    nothing = Observability(jnp.zeros(count + 1, bool), jnp.zeros(count))
+    nothing = Observability(jnp.zeros(len(prior), bool), jnp.zeros(count))
 
     def once(state: _Pass) -> _Pass:
         solution = coarse_to_fine(problem, search._replace(bounds=jnp.where(state.held, 0.0, search.bounds)))
@@ -352,13 +353,13 @@ def _searched(
         # Observability is judged in the first search, in which nothing is held.
         first, here = state.number == 0, observability(normal, prior, known, count)
         told = jax.tree.map(lambda new, old: jnp.where(first, new, old), here, state.told)
-        lost = first & ~told.observable & (jnp.arange(count + 1) < count)
+        lost = first & ~told.observable & (jnp.arange(len(prior)) < count)
         return _Pass(state.number + 1, state.held | lost, solution, covariance, told)
 
     def goes_on(state: _Pass) -> Bool[Array, ""]:
         return (state.number == 0) | ((state.number == 1) & state.held.any())
 
-    size, held = count + 1, jnp.zeros(count + 1, bool)
+    size, held = len(prior), jnp.zeros(len(prior), bool)
     first = _Pass(jnp.zeros((), jnp.int32), held, begun(problem, search), jnp.zeros((size, size)), nothing)
     last = jax.lax.while_loop(goes_on, once, first) if hold else once(first)
     return last.solution, last.covariance, last.told, last.held

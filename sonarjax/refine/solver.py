@@ -48,7 +48,7 @@ class Search(NamedTuple):
     """
 
     bounds: Any
-    """Least and largest step (2, step): of the free numbers [rad, m] and of the bounce's energy [1]."""
+    """Least and largest step (2, step): of the free numbers [rad, m] and of the bounces' energies [1]."""
     blurs: Any
     """Standard deviations (blur,) of the blurs [range bins], coarse to fine."""
     iterations: Any
@@ -65,7 +65,7 @@ class Found(NamedTuple):
     cost: Float[Array, ""]
     """1 − NCC of the blurred images; infinite if nothing could be compared."""
     step: Float[Array, "step"]
-    """The free numbers [rad, m] relative to the start, and the bounce's energy for the echo."""
+    """The free numbers [rad, m] relative to the start, and the bounces' energies for the echo."""
     template: Float[Array, "range beam"]
     """The fitted template there, see `draw`."""
     labels: Float[Array, "range beam"]
@@ -120,7 +120,7 @@ def coarse_to_fine(problem: Problem, search: Search) -> Solution:
         choose = partial(best_template, problem, layers, search)
         views, law = jax.lax.cond(first & is_echo, choose, lambda: (solution.views, solution.law))
         subject = replace(problem.subject, views=views, law=law)
-        drawn, slope = paint_with_slope(subject, layers, slopes, state.step[-1])
+        drawn, slope = paint_with_slope(subject, layers, slopes, state.step[len(problem.subject.free) :])
         # Computed inside the loop: before it, the renderer would be compiled a second time.
         weight = jnp.where(first, problem.weight * box_around(drawn, problem.margin), solution.weight)
         start_score = crop_score(problem.image, drawn, problem.weight, search.score_margin)
@@ -154,7 +154,7 @@ def coarse_to_fine(problem: Problem, search: Search) -> Solution:
 def begun(problem: Problem, search: Search) -> Solution:
     """A search before its first render."""
     shape = (problem.image.shape[0], problem.image.shape[1])
-    start = jnp.clip(jnp.zeros(len(problem.subject.free) + 1), *search.bounds)
+    start = jnp.clip(jnp.zeros(search.bounds.shape[1]), *search.bounds)
     dark, flat = jnp.zeros(shape), jnp.zeros((len(start), *shape))
     none = Found(jnp.asarray(jnp.inf), start, dark, dark, flat, jnp.ones_like(start))
     # The views of the echo serve for both templates.
@@ -166,7 +166,7 @@ def best_template(problem: Problem, layers: Array, search: Search) -> tuple[Int[
     """The template (see `VIEWS`) and echo law with the largest NCC with the image, given the `layers` at the start."""
 
     def score(subject: Subject) -> Array:
-        drawn = paint(subject, layers, jnp.zeros(()))
+        drawn = paint(subject, layers, jnp.zeros(len(layers) - 1))
         return crop_score(problem.image, drawn, problem.weight, search.score_margin)
 
     semantic, echo = (jnp.int32(VIEWS[name]) for name in ("semantic", "echo"))

@@ -1,13 +1,15 @@
 """What refinement fits to an image: a template rendered at a pose, and its derivatives by all fitted numbers.
 
 The `semantic` template is the one that the paper matches. The `echo` is the frame as a device would store it: each
-facet as bright as eq. 2 makes it, and the echoes by way of the floor, which appear as bars inside the shadow. Both come
-from one rendered view of the object. The echo needs a second view, that of its mirror image in the floor.
+facet as bright as eq. 2 makes it, and the echoes by way of the floor. Both come from one rendered view of the object.
+The echo needs two more views, of its mirror image in the floor: sound that bounces on both ways appears to come from
+there, as bars inside the shadow; sound that bounces on one way only arrives between, from where walls meet the floor.
 """
 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Literal
 
@@ -27,16 +29,17 @@ from sonarjax.sonar import Sonar
 
 Template = Literal["semantic", "echo", "either"]
 EITHER = 0
-VIEWS: dict[str, int] = {"semantic": 1, "echo": 2, "either": EITHER}
+FLOOR_PATHS = 0.5, 1.0
+"""Of echoes that bounce on the floor on one way, and on both: as `floor_path` of `sensor.SensorModel` [1]."""
+VIEWS: dict[str, int] = {"semantic": 1, "echo": 1 + len(FLOOR_PATHS), "either": EITHER}
 """Number of views of the object that each template needs; EITHER until a search has chosen."""
 BOUNCE_BOUNDS: dict[str, tuple[float, float]] = {"semantic": (0.0, 0.0), "echo": (0.0, 1.0), "either": (0.0, 1.0)}
-"""Bounds of the energy left after a bounce on the floor [1], which is fitted together with yaw, x and y."""
+"""Bounds of each energy left after bouncing on the floor [1], which is fitted together with yaw, x and y."""
 POSE = len(ON_FLOOR)
-"""How many numbers of the usual step move the object: yaw, x and y. The bounce's energy follows them."""
+"""How many numbers of the usual step move the object: yaw, x and y. The bounces' energies follow them."""
 BACKGROUND = 0.5  # grey of the semantic map's background
 GAINS_DB, NOISES, EXPONENTS = (2.0, 8.0, 14.0), (0.03, 0.2), (0.06, 0.25, 0.5)
 """Gains [dB], noises and exponents of the echo law, tried in all combinations."""
-FLOOR_PATH = SensorModel().floor_path  # of the echo that comes by way of the floor: on both ways
 
 
 @record
@@ -106,12 +109,12 @@ def labelled(share: Float[Array, "*batch"], sharpness: Float[Array, ""]) -> Floa
 def draw(subject: Subject, step: Float[Array, "step"], reverse: bool = False) -> Float[Array, "range beam"]:
     """The window's template at `step` from the start, as its difference from the grey of the bare floor.
 
-    `step` holds the free numbers of the pose [rad, m] and, for the echo, the energy left after a bounce on the floor
+    `step` holds the free numbers of the pose [rad, m] and, for the echo, the energies left of the bounces on the floor
     [1]. Forward-mode differentiation always works. With `reverse`, reverse mode works too, at the cost of always
-    rendering both views.
+    rendering all views.
     """
     count = len(subject.free)
-    return paint(subject, render_layers(subject, step[:count], reverse), step[count])
+    return paint(subject, render_layers(subject, step[:count], reverse), step[count:])
 
 
 def layers_with_slope(
@@ -127,29 +130,30 @@ def layers_with_slope(
 
 
 def paint_with_slope(
-    subject: Subject, layers: Array, slopes: Array, bounce: Float[Array, ""]
+    subject: Subject, layers: Array, slopes: Array, bounces: Float[Array, "bounce"]
 ) -> tuple[Float[Array, "range beam"], Float[Array, "step range beam"]]:
     """`paint`, and its derivatives by each number of a step: the pose's, from the `slopes` of the layers, and
-    the bounce's.
+    the bounces'.
     """
-    slopes = jnp.concatenate([slopes, jnp.zeros_like(slopes[:1])])
-    by_bounce = jnp.eye(len(slopes))[-1]
+    by_bounces = jnp.concatenate([jnp.zeros((len(slopes), len(bounces))), jnp.eye(len(bounces))])
+    slopes = jnp.concatenate([slopes, jnp.zeros((len(bounces), *layers.shape))])
 
     def along(slope: Array, bounce_slope: Array) -> tuple[Array, Array]:
-        return jax.jvp(lambda drawn, energy: paint(subject, drawn, energy), (layers, bounce), (slope, bounce_slope))
+        return jax.jvp(lambda drawn, energy: paint(subject, drawn, energy), (layers, bounces), (slope, bounce_slope))
 
-    return jax.vmap(along, out_axes=(None, 0))(slopes, by_bounce)
+    return jax.vmap(along, out_axes=(None, 0))(slopes, by_bounces)
 
 
 def render_layers(
-    subject: Subject, step: Float[Array, "pose"], reverse: bool = False, floor_path: Any = FLOOR_PATH
+    subject: Subject, step: Float[Array, "pose"], reverse: bool = False, floor_paths: Sequence[Any] = FLOOR_PATHS
 ) -> Float[Array, "view layer range beam"]:
-    """Echo, highlight and shadow of the object at `step` (pose,) [rad, m], and of its mirror image in the floor.
+    """Echo, highlight and shadow of the object at `step` (pose,) [rad, m], and of its mirror images in the floor.
 
-    The mirror image is left dark if the template takes only one view. `reverse` is as in `draw`, `floor_path` [1] as in
-    `sensor.SensorModel`.
+    There is one mirror image for each of `floor_paths` [1], which are as in `sensor.SensorModel`. They are left dark if
+    the template takes only one view. `reverse` is as in `draw`.
     """
-    views = _views(subject, pose_at(subject.start, step, subject.free), floor_path)
+    views = _views(subject, pose_at(subject.start, step, subject.free), floor_paths)
+    count = 1 + len(floor_paths)
 
     def seen(view: Any, shares: Any) -> Array:
         vertices, faces, lift, height, aperture = view
@@ -158,23 +162,25 @@ def render_layers(
         place = Pose(z=lift), lifted, subject.window, subject.quality
         return jnp.stack(render_echo(placed, *place, subject.views > 1, shares))
 
-    # Views are rendered one after the other, so that the renderer is compiled once. The mirror image's shares of pixels
+    def add(k: Any, done: Array) -> Array:
+        return done.at[k].set(seen(jax.tree.map(lambda v: v[k], views), k == 0))
+
+    # Views are rendered one after the other, so that the renderer is compiled once. The mirror images' shares of pixels
     # are not used.
     if reverse:
-        return jax.lax.map(lambda numbered: seen(*numbered), (views, jnp.arange(2) == 0))
-    nothing = jnp.zeros((2, 3, *subject.window.shape))
-    return jax.lax.fori_loop(
-        0, subject.views, lambda k, done: done.at[k].set(seen(jax.tree.map(lambda v: v[k], views), k == 0)), nothing
-    )
+        return jax.lax.map(lambda numbered: seen(*numbered), (views, jnp.arange(count) == 0))
+    nothing = jnp.zeros((count, 3, *subject.window.shape))
+    return jax.lax.fori_loop(0, jnp.minimum(subject.views, count), add, nothing)
 
 
 def paint(
-    subject: Subject, layers: Float[Array, "view layer range beam"], bounce: Float[Array, ""]
+    subject: Subject, layers: Float[Array, "view layer range beam"], bounces: Float[Array, "bounce"]
 ) -> Float[Array, "range beam"]:
-    """The template from the layers of `render_layers`, given the energy that a `bounce` on the floor leaves [1]."""
-    (echo, highlight, shadow), (bounced, *_) = layers
+    """The template from the layers of `render_layers`, given the energies that `bounces` on the floor leave [1]."""
+    echo, highlight, shadow = layers[0]
+    bounced = jnp.einsum("v,vrb->rb", bounces, layers[1:, 0])
     grey = semantic_image(*(labelled(v, subject.sharpness) for v in (highlight, shadow))) - BACKGROUND
-    return jnp.where(subject.views > 1, _stored_echo(subject, echo + bounce * bounced, shadow), grey)
+    return jnp.where(subject.views > 1, _stored_echo(subject, echo + bounced, shadow), grey)
 
 
 def semantic_template(layers: Float[Array, "view layer range beam"]) -> Float[Array, "range beam"]:
@@ -183,14 +189,17 @@ def semantic_template(layers: Float[Array, "view layer range beam"]) -> Float[Ar
     return semantic_image(highlight, shadow) - BACKGROUND
 
 
-def _views(subject: Subject, pose: Pose, floor_path: Any) -> tuple[Array, ...]:
-    """The object as it stands, and mirrored in the floor: vertices, faces, lift [m], sonar height [m] and aperture."""
+def _views(subject: Subject, pose: Pose, floor_paths: Sequence[Any]) -> tuple[Array, ...]:
+    """The object as it stands, and its mirror images: vertices, faces, lift [m], sonar height [m] and aperture."""
     mesh, sonar = subject.mesh, subject.sonar
-    mirrored, lift, lifted = without_floor(bounce_mesh(mesh, pose, sonar, 0.0, floor_path), sonar)
     as_it_is = pose.to_ground(mesh.vertices), mesh.faces, 0.0, sonar.height, sonar.elevation_aperture
-    bounced = mirrored.vertices, mirrored.faces, lift.z, lifted.height, lifted.elevation_aperture
-    # The shadow of the mirror image is not used.
-    return tuple(jnp.stack([jnp.asarray(v) for v in pair]) for pair in zip(as_it_is, bounced, strict=True))
+
+    def mirrored(path: Any) -> tuple[Any, ...]:
+        image, lift, lifted = without_floor(bounce_mesh(mesh, pose, sonar, 0.0, path), sonar)
+        return image.vertices, image.faces, lift.z, lifted.height, lifted.elevation_aperture
+
+    views = as_it_is, *(mirrored(path) for path in floor_paths)
+    return tuple(jnp.stack([jnp.asarray(v) for v in each]) for each in zip(*views, strict=True))
 
 
 def _stored_echo(subject: Subject, echo: Array, shadow: Array) -> Array:

@@ -1,8 +1,8 @@
 """One pose from several views: joint Levenberg–Marquardt over frames of one object at rest from known sonar poses.
 
 Each view's normal equations are computed in its own sonar's frame and transformed to the common frame, which for planar
-sonar poses is a constant matrix. Each view has its own bounce energy. Everything except the renders is small and stays
-on the host.
+sonar poses is a constant matrix. Each view has its own bounce energies. Everything except the renders is small and
+stays on the host.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 from sonarjax.engine import Engine
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.refine.config import SLACK_M, RefineConfig
-from sonarjax.refine.free import ALL, BOUNCE, trusts
+from sonarjax.refine.free import ALL, BOUNCES, trusts
 from sonarjax.refine.objective import ROW_STRIDE, Problem, box_around, crop_score, make_blur, normalised
 from sonarjax.refine.solver import INSIDE, SETTLED_SHARE, Found, Search, best_template
 from sonarjax.refine.template import (
@@ -60,17 +60,17 @@ class View(NamedTuple):
     """One view's contribution at a point."""
 
     hessian: Any
-    """JᵀJ for the six numbers in the view's frame and the bounce's energy (7, 7)."""
+    """JᵀJ for the six numbers in the view's frame and the energies of the bounces (8, 8)."""
     gradient: Any
-    """Jᵀ·residual (7,)."""
+    """Jᵀ·residual (8,)."""
     cost: Any
     """1 − NCC of the blurred images."""
     score: Any
     """NCC (eq. 4) of the template, over its own box with the bank's margin."""
     information: Any
-    """As in `Normal`, without blur (7, 7)."""
+    """As in `Normal`, without blur (8, 8)."""
     noise: Any
-    """As in `Normal` (7, 7)."""
+    """As in `Normal` (8, 8)."""
 
 
 class Joint(NamedTuple):
@@ -95,7 +95,7 @@ class Joint(NamedTuple):
 @partial(jax.jit, static_argnames=("size", "quality"))
 def linearise(
     image: Array, weight: Array, mesh: Mesh, sonar: Sonar, place: Pose, room: tuple[Array, Array, Array], pose: Pose,
-    bounce: Array, sigma: Array, sharpness: Array, margin: Array, fixed: tuple[Any, ...], fresh: Array, *,
+    bounces: Array, sigma: Array, sharpness: Array, margin: Array, fixed: tuple[Any, ...], fresh: Array, *,
     size: WindowSize, quality: RenderQuality,
 ) -> tuple[tuple[Array, ...], tuple[Any, ...]]:  # fmt: skip
     """The fields of a `View` at `pose` in the view's frame, and of its `Fixed`, which is made anew if `fresh`.
@@ -108,7 +108,7 @@ def linearise(
     kept = Fixed(fixed[0], fixed[1], EchoLaw(*fixed[2]))
     painted = jnp.where(fresh & (kept.views != VIEWS["semantic"]), VIEWS["echo"], kept.views)
     subject = Subject(mesh, sonar, pose, window, sharpness, painted, kept.law, quality, ALL)
-    layers, slopes = layers_with_slope(subject, jnp.zeros(len(ALL) + 1))
+    layers, slopes = layers_with_slope(subject, jnp.zeros(len(ALL) + len(BOUNCES)))
     score_margin = jnp.array([MARGIN_BINS, MARGIN_BEAMS])
     nothing = jnp.zeros(())
     problem = Problem(part, measured, replace(subject, views=kept.views), margin)
@@ -117,7 +117,7 @@ def linearise(
     views, law = jax.lax.cond(
         choose, partial(best_template, problem, layers, search), lambda: (jnp.asarray(kept.views), kept.law)
     )
-    drawn, slope = paint_with_slope(replace(subject, views=views, law=law), layers, slopes, bounce)
+    drawn, slope = paint_with_slope(replace(subject, views=views, law=law), layers, slopes, bounces)
     inside = jnp.where(fresh, measured * box_around(semantic_template(layers), margin), kept.weight)
     rows, blur = inside[::ROW_STRIDE], make_blur((size.shape[0], size.shape[1]), sigma)
     seen = normalised(blur(part * inside), rows)
@@ -167,7 +167,7 @@ class Job(NamedTuple):
 
 
 class _Sum(NamedTuple):
-    """The normal equations of all views in the common frame: the free numbers, then each view's bounce."""
+    """The normal equations of all views in the common frame: the free numbers, then each view's bounces."""
 
     hessian: np.ndarray
     gradient: np.ndarray
@@ -189,14 +189,14 @@ def refine_jointly(job: Job, start: Pose) -> Joint:
 
 def _search(job: Job, start: Pose, held: np.ndarray) -> tuple[Joint, tuple[np.ndarray, np.ndarray]]:
     """One search with some numbers held: its result, and which numbers are observable, with singular values."""
-    config, count, views = job.config, len(job.free), len(job.images)
+    config, count, energies = job.config, len(job.free), len(BOUNCES) * len(job.images)
     bounds = np.array([config.bound(name) for name in job.free])
     low, high = BOUNCE_BOUNDS[config.template]
-    most = np.concatenate([np.where(held, 0.0, bounds), np.full(views, high)])
-    least = np.concatenate([-most[:count], np.full(views, low)])
-    trust = np.array([*trusts(job.free), *[BOUNCE.trust] * (views - 1)])
+    most = np.concatenate([np.where(held, 0.0, bounds), np.full(energies, high)])
+    least = np.concatenate([-most[:count], np.full(energies, low)])
+    trust = np.array([*trusts(job.free)[:count], *[bounce.trust for bounce in BOUNCES] * len(job.images)])
     evaluate = _evaluator(job, start)
-    point, begun, settled = np.clip(np.zeros(count + views), least, most), None, False
+    point, begun, settled = np.clip(np.zeros(count + energies), least, most), None, False
     for sigma in config.blurs:
         here, damping = evaluate(point, sigma), 1e-3
         begun = here.score if begun is None else begun
@@ -213,8 +213,8 @@ def _search(job: Job, start: Pose, held: np.ndarray) -> tuple[Joint, tuple[np.nd
                 settled = moved < SETTLED_SHARE or damping > MOST_DAMPING
             if settled:
                 break
-    prior = jnp.asarray(prior_std(jnp.asarray(_box(bounds, low, high, views))), jnp.float32)
-    known, fast = jnp.isfinite(here.cost), jnp.asarray(np.concatenate([held, np.zeros(views, bool)]))
+    prior = jnp.asarray(prior_std(jnp.asarray(_box(bounds, low, high, energies))), jnp.float32)
+    known, fast = jnp.isfinite(here.cost), jnp.asarray(np.concatenate([held, np.zeros(energies, bool)]))
     told = observability(here.normal, prior, known, count)
     covariance = np.asarray(error_covariance(here.normal, prior, fast, known))[:count, :count]
     inside = np.abs(point[:count]) < INSIDE * bounds
@@ -226,8 +226,8 @@ def _search(job: Job, start: Pose, held: np.ndarray) -> tuple[Joint, tuple[np.nd
     return found, (found.observable, found.singular_values)
 
 
-def _box(bounds: np.ndarray, low: float, high: float, views: int) -> np.ndarray:
-    return np.stack([np.concatenate([-bounds, [low] * views]), np.concatenate([bounds, [high] * views])])
+def _box(bounds: np.ndarray, low: float, high: float, energies: int) -> np.ndarray:
+    return np.stack([np.concatenate([-bounds, [low] * energies]), np.concatenate([bounds, [high] * energies])])
 
 
 def _step(here: _Sum, movable: np.ndarray, trust: np.ndarray, damping: float) -> np.ndarray:
@@ -257,7 +257,7 @@ def _evaluator(job: Job, start: Pose) -> Callable[[np.ndarray, float], _Sum]:
         def one(k: int) -> View:
             numbers, kept = job.engine.run(
                 linearise, job.images[k], job.weights[k], job.mesh, job.sonar, places[k], space,
-                in_view(pose, job.sonar_poses[k]), np.float32(point[count + k]), np.float32(sigma),
+                in_view(pose, job.sonar_poses[k]), _bounces_of(point, count, k), np.float32(sigma),
                 np.float32(config.sharpness), margin, fixed[k], np.bool_(fresh[k]), size=job.size,
                 quality=config.quality,
             )  # fmt: skip
@@ -272,19 +272,25 @@ def _evaluator(job: Job, start: Pose) -> Callable[[np.ndarray, float], _Sum]:
 
 def _summed(parts: Sequence[View], free: tuple[str, ...], sonar_poses: np.ndarray) -> _Sum:
     count, views = len(free), len(parts)
-    size = count + views
+    size = count + len(BOUNCES) * views
     hessian, information, noise = (np.zeros((size, size)) for _ in range(3))
     gradient = np.zeros(size)
     for k, part in enumerate(parts):
-        across = np.zeros((len(ALL) + 1, size))
+        across = np.zeros((len(ALL) + len(BOUNCES), size))
         across[: len(ALL), :count] = turned(sonar_poses[k, 2])[:, [ALL.index(name) for name in free]]
-        across[-1, count + k] = 1.0
+        across[len(ALL) :, count + len(BOUNCES) * k : count + len(BOUNCES) * (k + 1)] = np.eye(len(BOUNCES))
         gradient += across.T @ part.gradient
         for total, mine in ((hessian, part.hessian), (information, part.information), (noise, part.noise)):
             total += across.T @ mine @ across
     normal = Normal(jnp.asarray(information, jnp.float32), jnp.asarray(noise, jnp.float32))
     cost, score = float(sum(part.cost for part in parts)), float(np.mean([part.score for part in parts]))
     return _Sum(hessian, gradient, cost if np.isfinite(cost) else np.inf, score, normal)
+
+
+def _bounces_of(point: np.ndarray, count: int, view: int) -> np.ndarray:
+    """The energies of a view's bounces, which follow the `count` free numbers of a point."""
+    first = count + len(BOUNCES) * view
+    return point[first : first + len(BOUNCES)].astype(np.float32)
 
 
 def turned(heading: float) -> Float[np.ndarray, "number number"]:

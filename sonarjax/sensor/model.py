@@ -89,6 +89,13 @@ class SensorModel:
     """Power of energy in the power law [1]: 0.5 is amplitude, 0.25 its square root."""
 
     # Effects of some devices and places only. The nominal device has none of them.
+    floor_bounce_once: Scalar = 0.0
+    """Energy of echoes that bounce on the floor on one way only, relative to the direct echo [1]; in addition to
+    `floor_bounce`.
+
+    Sound meets the floor either on its way out or on its way back. Both echoes arrive in phase, so that together they
+    have up to four times the energy of one.
+    """
     saturation: Scalar = 0.0
     """How far the power law bends towards white, as an arctangent of this steepness [1]."""
     black: Scalar = 0.0
@@ -155,7 +162,7 @@ class SensorModel:
     def scaled(self, severity: Scalar) -> SensorModel:
         """The same device with its noise and artefacts (the fields in `SCALED`) multiplied by `severity`."""
         scaled = {name: severity * getattr(self, name) for name in SCALED}
-        for name in ("floor_bounce", "surface_bounce"):  # a mirror adds no energy
+        for name in ("floor_bounce", "floor_bounce_once", "surface_bounce"):  # a mirror adds no energy
             scaled[name] = jnp.minimum(scaled[name], 1.0)
         return replace(self, **scaled)
 
@@ -167,7 +174,7 @@ def _drawn(low: float, high: float, kind: str, *, key: jax.Array) -> jax.Array:
 
 
 SCALED = ("crosstalk", "streak", "beam_gain_std", "noise", "speckle", "texture", "floor_bounce", "surface_bounce",
-          "reverberation", "group_gain_std", "unevenness")  # fmt: skip
+          "floor_bounce_once", "reverberation", "group_gain_std", "unevenness")  # fmt: skip
 """Fields that `severity` multiplies."""
 
 FLOOR_HEARD, SURFACE_HEARD = 0.55, 0.2
@@ -231,11 +238,12 @@ WIDE: dict[str, tuple[float, float, str]] = {
     "ripple_wavelength": (0.03, 0.4, "log"),
     "ripple_direction": (-1.6, 1.6, "even"),
     "other_pings": (0.3, 20.0, "log"),
+    "floor_bounce_once": (0.03, 1.0, "log"),
 }
 """Ranges as in `RANGES` that `draw_wide` uses in place of those there, or in addition, at severity 1."""
 
 SELDOM: dict[str, float] = {
     "saturation": 0.3, "black": 0.15, "reverberation": 0.6, "group_gain_std": 0.3, "dim_share": 0.2, "unevenness": 0.6,
-    "ripple": 0.15, "other_pings": 0.1,
+    "ripple": 0.15, "other_pings": 0.1, "floor_bounce_once": 0.6,
 }  # fmt: skip
 """Share of the draws of `draw_wide` in which a field is present; elsewhere it has the nominal value."""

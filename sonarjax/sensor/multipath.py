@@ -88,9 +88,10 @@ def render_bounces(
         dark = jnp.zeros(sonar.shape)
         return dark, dark, dark > 0, jnp.zeros((), jnp.int32)
 
-    floor = 0.0, model.floor_path, model.floor_bounce
+    floor, once = (0.0, model.floor_path, model.floor_bounce), (0.0, 0.5, model.floor_bounce_once)
     surface = model.water_depth, model.surface_path, model.surface_bounce
-    mirrors = tuple(jnp.stack([jnp.asarray(v, jnp.float32) for v in pair]) for pair in zip(floor, surface, strict=True))
+    ways = zip(floor, once, surface, strict=True)
+    mirrors = tuple(jnp.stack([jnp.asarray(v, jnp.float32) for v in numbers]) for numbers in ways)
     # One mirror after the other, so that the renderer is compiled once and is skipped where nothing comes back.
     energy, share, lit, overflow = jax.lax.map(lambda m: jax.lax.cond(m[2] > 0, echo, silence, m), mirrors)
     return SonarFrame(energy.sum(0), share.max(0), jnp.zeros(sonar.shape), lit.any(0), overflow.max(), sonar)

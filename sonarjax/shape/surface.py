@@ -236,7 +236,7 @@ def _by_vertices(
     vertices: Array, sigma: Array, *, size: WindowSize,
 ) -> tuple[Array, Array]:  # fmt: skip
     """1 − NCC of the blurred template and frame, and its gradient by the vertices (vertex, 3)."""
-    blur, bounce = make_blur((size.shape[0], size.shape[1]), sigma), jnp.full(1, BOUNCE)
+    blur, bounce = make_blur((size.shape[0], size.shape[1]), sigma), jnp.array([0.0, BOUNCE])
 
     def cost(positions: Array) -> Array:
         bent = mesh.with_vertices(positions)

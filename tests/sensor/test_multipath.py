@@ -40,6 +40,7 @@ def mean_range(frame: SonarFrame) -> float:
     [
         ({"floor_bounce": 1.0, "floor_path": 1.0}, 0.0, 1.0),
         ({"floor_bounce": 1.0, "floor_path": 0.5}, 0.0, 0.5),
+        ({"floor_bounce_once": 1.0}, 0.0, 0.5),
         ({"surface_bounce": 1.0, "surface_path": 1.0, "water_depth": 1.6}, 1.6, 1.0),
         ({"surface_bounce": 1.0, "surface_path": 0.5, "water_depth": 1.6}, 1.6, 0.5),
     ],
