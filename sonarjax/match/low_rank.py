@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.match.masked import NEAR_CONSTANT
 from sonarjax.match.ncc import AnyArray, MatchPositions, PreparedBank, correlation_maps, prepare_bank
-from sonarjax.match.spectra import check_shapes, inverse_root, unit_templates
+from sonarjax.match.spectra import centred_frame, check_shapes, inverse_root, unit_templates
 from sonarjax.records import record
 
 PASSES, SPARE = 3, 8
@@ -172,7 +172,7 @@ def scores_at(image: Float[AnyArray, "range beam"], bank: Any, places: MatchPosi
 
 @jax.jit
 def _scores_at(image: Array, templates: Array, places: MatchPositions) -> Array:
-    centred = image - jnp.mean(image)
+    centred = centred_frame(image)
     floor = NEAR_CONSTANT * jnp.sum(jnp.square(centred))
 
     def one(item: tuple[Array, Array, Array]) -> Array:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Complex, Float
 
-from sonarjax.match.spectra import correlate, frame_spectrum, inverse_root
+from sonarjax.match.spectra import centred_frame, correlate, frame_spectrum, inverse_root
 from sonarjax.match.windows import window_moments
 
 NEAR_CONSTANT = 1e-6
@@ -51,18 +51,12 @@ def masked_frame(
     min_valid: float | Array,
 ) -> MaskedFrame:
     """Spectra and window moments of `image` where `mask` is true, for windows (height, width) [pixels]."""
-    centred = masked_centre(image, mask)
+    centred = centred_frame(image, mask)
     moments = window_moments(centred, window, mask)
     enough = moments.pixels >= min_valid * window[0] * window[1]
     scale = jnp.where(enough, inverse_root(moments.energy, NEAR_CONSTANT * jnp.sum(jnp.square(centred))), 0.0)
     count = jnp.maximum(moments.pixels, 1.0)
     return MaskedFrame(frame_spectrum(centred), frame_spectrum(mask.astype(image.dtype)), moments.mean, count, scale)
-
-
-def masked_centre(image: Float[Array, "range beam"], mask: Bool[Array, "range beam"]) -> Float[Array, "range beam"]:
-    """`image` minus the mean of its measured pixels, and 0 elsewhere; unmeasured pixels may be NaN."""
-    known = jnp.where(mask, image, 0.0)
-    return jnp.where(mask, known - jnp.sum(known) / jnp.maximum(jnp.sum(mask), 1), 0.0)
 
 
 def masked_maps(
@@ -103,7 +97,7 @@ class WeightedFrame(NamedTuple):
 
 def weighted_frame(image: Float[Array, "range beam"], mask: Bool[Array, "range beam"]) -> WeightedFrame:
     """Spectra of `image` where `mask` is true."""
-    centred = masked_centre(image, mask)
+    centred = centred_frame(image, mask)
     square = jnp.square(centred)
     return WeightedFrame(
         frame_spectrum(centred), frame_spectrum(square), frame_spectrum(mask.astype(image.dtype)), jnp.sum(square)

@@ -20,6 +20,7 @@ from sonarjax.io.errors import SonarjaxError
 from sonarjax.match.masked import MIN_VALID, NEAR_CONSTANT, masked_frame, masked_maps, weighted_frame, weighted_maps
 from sonarjax.match.spectra import (
     TemplateSpectra,
+    centred_frame,
     check_shapes,
     correlate,
     frame_spectrum,
@@ -178,7 +179,7 @@ def _spectra(templates: Array, image_shape: tuple[int, int], masked: bool) -> Te
 
 @partial(jax.jit, static_argnums=2)
 def _match_plain(image: Array, spectra: TemplateSpectra, reduce: Callable[..., Any]) -> Any:
-    centred = image - jnp.mean(image)  # the mean cancels in eq. 4, but a large mean would cost float32 digits
+    centred = centred_frame(image)
     energy = window_moments(centred, spectra.template_shape).energy
     scale = inverse_root(energy, NEAR_CONSTANT * jnp.sum(jnp.square(centred)))
     scale = jax.lax.optimization_barrier(scale)  # keeps XLA from fusing it into the loop, anew for each chunk

@@ -12,7 +12,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Complex, Float
+from jaxtyping import Array, Bool, Complex, Float
 
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.records import record, static
@@ -24,6 +24,10 @@ for an accelerator.
 BACKGROUND = 0.5  # grey of a semantic map's background; highlight is brighter
 CONSTANT_TEMPLATE = 1e-10
 """A template whose variance is below this share of its mean square counts as constant and scores 0."""
+
+
+ROUNDING = 8 * float(jnp.finfo(jnp.float32).eps)
+"""A frame whose grey values differ by no more than this share of their mean is constant: the rest is rounding."""
 
 
 @record
@@ -67,6 +71,20 @@ def template_spectra(
     echoes = pack(_echo_shares(templates), image_shape) if masked else None
     sizes = (templates.shape[1], templates.shape[2]), (image_shape[0], image_shape[1])
     return TemplateSpectra(planes, squares, echoes, templates.shape[0], *sizes)
+
+
+def centred_frame(
+    image: Float[Array, "range beam"], mask: Bool[Array, "range beam"] | None = None
+) -> Float[Array, "range beam"]:
+    """`image` minus the mean of its measured pixels, and 0 elsewhere; unmeasured pixels may be NaN.
+
+    The mean cancels in eq. 4, but a large one would cost float32 digits. A constant frame becomes 0, without the noise
+    of rounding, which would correlate with a template by chance.
+    """
+    measured = jnp.ones(image.shape, bool) if mask is None else mask
+    mean = jnp.sum(jnp.where(measured, image, 0.0)) / jnp.maximum(jnp.sum(measured), 1)
+    spread = jnp.max(jnp.where(measured, image, -jnp.inf)) - jnp.min(jnp.where(measured, image, jnp.inf))
+    return jnp.where(measured & (spread > ROUNDING * jnp.abs(mean)), image - mean, 0.0)
 
 
 def _echo_shares(templates: Float[Array, "yaw h w"]) -> Float[Array, "yaw h w"]:

@@ -119,6 +119,19 @@ def test_constant_windows_and_templates_score_zero() -> None:
     assert np.all(scores[[0, 2]] > 0.1)
 
 
+@pytest.mark.parametrize("level", [0.1, 0.3, 0.7])
+@pytest.mark.parametrize("masked", [False, True])
+def test_a_frame_that_is_constant_up_to_rounding_scores_zero(level: float, masked: bool) -> None:
+    rng = np.random.default_rng(8)
+    image = (level + rng.choice([-3e-8, 0.0, 3e-8], (64, 32))).astype(np.float32)
+    mask = None
+    if masked:  # what was not measured varies
+        mask = np.ones((64, 32), bool)
+        mask[:, :8] = False
+        image[:, :8] = rng.random((64, 8))
+    assert np.all(np.asarray(match_bank(image, rng.random((3, 16, 8), np.float32), mask=mask)) == 0)
+
+
 def test_kept_spectra_change_nothing() -> None:
     rng = np.random.default_rng(7)
     image, templates = rng.random((96, 64), np.float32), rng.random((101, 30, 20), np.float32)
