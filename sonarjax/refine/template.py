@@ -85,7 +85,7 @@ class Subject:
     sharpness: Float[Array, ""]
     """How sharply pixels of a semantic template are assigned to one class, see `labelled`."""
     views: Int[Array, ""]
-    """1 for the semantic template, 2 for the echo, see `VIEWS`."""
+    """1 for the semantic template, 3 for the echo, see `VIEWS`."""
     law: EchoLaw
     """How the echo is stored."""
     quality: RenderQuality = static()

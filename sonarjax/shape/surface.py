@@ -236,12 +236,13 @@ def _by_vertices(
     vertices: Array, sigma: Array, *, size: WindowSize,
 ) -> tuple[Array, Array]:  # fmt: skip
     """1 − NCC of the blurred template and frame, and its gradient by the vertices (vertex, 3)."""
-    blur, bounce = make_blur((size.shape[0], size.shape[1]), sigma), jnp.array([0.0, BOUNCE])
+    blur = make_blur((size.shape[0], size.shape[1]), sigma)
+    bounces = jnp.array([0.0, BOUNCE])  # on one way, and on both; not fitted
 
     def cost(positions: Array) -> Array:
         bent = mesh.with_vertices(positions)
         problem = _problem(image, mask, pose, EchoLaw(*law), bent, sonar, mesh, size)
-        return misfit(problem._replace(weight=weight), blur, bounce, reverse=True)
+        return misfit(problem._replace(weight=weight), blur, bounces, reverse=True)
 
     value, slope = jax.value_and_grad(cost)(vertices)
     return value, jnp.nan_to_num(slope)
