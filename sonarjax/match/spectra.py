@@ -24,8 +24,6 @@ for an accelerator.
 BACKGROUND = 0.5  # grey of a semantic map's background; highlight is brighter
 CONSTANT_TEMPLATE = 1e-10
 """A template whose variance is below this share of its mean square counts as constant and scores 0."""
-
-
 ROUNDING = 8 * float(jnp.finfo(jnp.float32).eps)
 """A frame whose grey values differ by no more than this share of their mean is constant: the rest is rounding."""
 

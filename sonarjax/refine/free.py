@@ -36,10 +36,10 @@ ON_FLOOR = ("yaw", "x", "y")
 """The numbers that are free for an object standing on the floor, as in `refine_yaw`."""
 ALL = tuple(NUMBERS)
 """All six numbers."""
-BOUNCES = (Number(0.2, 2e-2, "1"),) * 2
-"""The energies left of echoes that bounce on the floor: on one way, and on both. They are fitted together with the
-pose, and follow its numbers in a step.
-"""
+FLOOR_PATHS = 0.5, 1.0
+"""Of echoes that bounce on the floor on one way, and on both: as `floor_path` of `sensor.SensorModel` [1]."""
+BOUNCES = (Number(0.2, 2e-2, "1"),) * len(FLOOR_PATHS)
+"""The energies left of these echoes. They are fitted together with the pose, and follow its numbers in a step."""
 
 
 def check_free(free: Sequence[str]) -> tuple[str, ...]:

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from sonarjax.records import record, static
-from sonarjax.refine.free import ON_FLOOR, pose_at
+from sonarjax.refine.free import FLOOR_PATHS, ON_FLOOR, pose_at
 from sonarjax.render import RenderQuality, Window, floor_angle, render_echo, semantic_image
 from sonarjax.scene import Mesh, Pose
 from sonarjax.sensor import SensorModel
@@ -29,8 +29,6 @@ from sonarjax.sonar import Sonar
 
 Template = Literal["semantic", "echo", "either"]
 EITHER = 0
-FLOOR_PATHS = 0.5, 1.0
-"""Of echoes that bounce on the floor on one way, and on both: as `floor_path` of `sensor.SensorModel` [1]."""
 VIEWS: dict[str, int] = {"semantic": 1, "echo": 1 + len(FLOOR_PATHS), "either": EITHER}
 """Number of views of the object that each template needs; EITHER until a search has chosen."""
 BOUNCE_BOUNDS: dict[str, tuple[float, float]] = {"semantic": (0.0, 0.0), "echo": (0.0, 1.0), "either": (0.0, 1.0)}
@@ -176,7 +174,7 @@ def render_layers(
 def paint(
     subject: Subject, layers: Float[Array, "view layer range beam"], bounces: Float[Array, "bounce"]
 ) -> Float[Array, "range beam"]:
-    """The template from the layers of `render_layers`, given the energies that `bounces` on the floor leave [1]."""
+    """The template from the layers of `render_layers`, given the energies (bounce,) that `bounces` leave [1]."""
     echo, highlight, shadow = layers[0]
     bounced = jnp.einsum("v,vrb->rb", bounces, layers[1:, 0])
     grey = semantic_image(*(labelled(v, subject.sharpness) for v in (highlight, shadow))) - BACKGROUND

@@ -93,8 +93,8 @@ class SensorModel:
     """Energy of echoes that bounce on the floor on one way only, relative to the direct echo [1]; in addition to
     `floor_bounce`.
 
-    Sound meets the floor either on its way out or on its way back. Both echoes arrive in phase, so that together they
-    have up to four times the energy of one.
+    Sound meets the floor either on its way out or on its way back. This is the energy of both echoes together, which
+    arrive in phase: up to four times that of one alone.
     """
     saturation: Scalar = 0.0
     """How far the power law bends towards white, as an arctangent of this steepness [1]."""
@@ -162,7 +162,7 @@ class SensorModel:
     def scaled(self, severity: Scalar) -> SensorModel:
         """The same device with its noise and artefacts (the fields in `SCALED`) multiplied by `severity`."""
         scaled = {name: severity * getattr(self, name) for name in SCALED}
-        for name in ("floor_bounce", "floor_bounce_once", "surface_bounce"):  # a mirror adds no energy
+        for name in ("floor_bounce", "floor_bounce_once", "surface_bounce"):  # none is louder than the direct echo
             scaled[name] = jnp.minimum(scaled[name], 1.0)
         return replace(self, **scaled)
 

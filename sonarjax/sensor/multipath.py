@@ -88,7 +88,8 @@ def render_bounces(
         dark = jnp.zeros(sonar.shape)
         return dark, dark, dark > 0, jnp.zeros((), jnp.int32)
 
-    floor, once = (0.0, model.floor_path, model.floor_bounce), (0.0, 0.5, model.floor_bounce_once)
+    floor = 0.0, model.floor_path, model.floor_bounce
+    once = 0.0, 0.5, model.floor_bounce_once  # the path of a bounce on one way
     surface = model.water_depth, model.surface_path, model.surface_bounce
     ways = zip(floor, once, surface, strict=True)
     mirrors = tuple(jnp.stack([jnp.asarray(v, jnp.float32) for v in numbers]) for numbers in ways)
