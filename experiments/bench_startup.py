@@ -3,9 +3,10 @@
 python -m experiments.bench_startup [--preset smoke] [--help]
 
 `python -m sonarjax recognize` of one frame in a process that finds its cache empty and in a second one that finds it
-full, and the seconds a frame of a process that goes on. Both sides read the same frames, mesh and sonar, in turn; of
-several rounds the fastest counts, since other programs only ever slow one down. The older commit is checked out into a
-temporary folder, with git, and runs on the packages that are installed.
+full, and the seconds a frame of a process that goes on: frames one by one, and a batch of them, which the older commit
+takes one by one too. Both sides read the same frames, mesh and sonar, in turn; of several rounds the fastest counts,
+since other programs only ever slow one down. The older commit is checked out into a temporary folder, with git, and
+runs on the packages that are installed.
 """
 
 from __future__ import annotations
@@ -43,6 +44,7 @@ MEASURES = {
     "cold": "first process, its cache empty [s]",
     "warm": "second process, its cache full [s]",
     "steady": "a further frame in one process [s]",
+    "batch": "a frame of a batch [s]",
 }
 HEADS = {"what": "what", OLD: "old", NEW: "this tree", "ratio": "old / this tree"}
 SMOKE = {"sides": (NEW,), "segmenter": "none", "refine": False, "frames": 1, "rounds": 1}
@@ -63,17 +65,21 @@ for image in images:
     started = time.perf_counter()
     recognize(image)
     seconds.append(time.perf_counter() - started)
-print(json.dumps({{"package": sj.__file__, "steady": float(np.median(seconds))}}))
+started = time.perf_counter()
+done = sum(1 for _ in batch(images))
+each = (time.perf_counter() - started) / done
+print(json.dumps({{"package": sj.__file__, "steady": float(np.median(seconds)), "batch": each}}))
 """
 SCRIPTS = {
     OLD: COMMON.format(
         setup="from sonarjax._cache import enable_compilation_cache\nenable_compilation_cache()",
-        recognizer="def recognize(image): sj.recognize(image, mesh, sonar, segmenter=segmenter, refine=refine)",
+        recognizer="def recognize(image): sj.recognize(image, mesh, sonar, segmenter=segmenter, refine=refine)\n"
+        "def batch(images): return map(recognize, images)",
     ),
     NEW: COMMON.format(
         setup="from sonarjax import cpu\nfrom sonarjax.refine import MAP_REFINEMENT\ncpu.tune()",
         recognizer="recognize = sj.Recognizer(mesh, sonar, segmenter=segmenter, engine=cpu.CpuEngine(), "
-        "refine=MAP_REFINEMENT if refine else None)",
+        "refine=MAP_REFINEMENT if refine else None)\nbatch = recognize.stream",
     ),
 }
 """What a process of each side runs, where frames follow each other: each goes about it as its own command line does."""
@@ -191,7 +197,7 @@ def measure(side: str, tree: Path, files: Path, settings: Settings) -> dict[str,
     facts = json.loads(said.splitlines()[-1])
     if not Path(facts["package"]).resolve().is_relative_to(tree.resolve()):
         raise SonarjaxError(f"{side}: {facts['package']} was timed, expected the package in {tree}")
-    return found | {"steady": facts["steady"]}
+    return found | {key: facts[key] for key in ("steady", "batch")}
 
 
 def _process(tree: Path, cache: Path, *arguments: Any) -> str:

@@ -194,12 +194,15 @@ class CpuEngine(Engine):
         for first in rest:
             yield function(shared, first, self)
             break
-        with ThreadPoolExecutor(cores()) as pool:
+        pool = ThreadPoolExecutor(cores())
+        try:
             waiting = deque(pool.submit(function, shared, item, self) for item in islice(rest, 2 * cores()))
             while waiting:
                 done = waiting.popleft().result()
                 waiting.extend(pool.submit(function, shared, item, self) for item in islice(rest, 1))
                 yield done
+        finally:  # an interrupt does not wait for what was only submitted
+            pool.shutdown(cancel_futures=True)
 
 
 def cores() -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -162,6 +162,21 @@ class Recognizer:
             evidence=best.evidence,
         )
 
+    def stream(
+        self, images: Iterable[Any], mask: Any = None, *, threshold: float | None = None
+    ) -> Iterator[Recognition]:
+        """Recognize frames in their order. The engine decides how many at once: a `CpuEngine` takes one for each core.
+
+        Args:
+            images: Grey frames (range, beam). They are read as they are needed, a few in advance.
+            mask: True (range, beam) where a pixel was measured, the same for all frames.
+            threshold: As in a call.
+
+        Raises:
+            SonarjaxError: As a call does, when the frame's turn comes.
+        """
+        return self.engine.stream(_recognize_one, (self, mask, threshold), images)
+
     def prepare(self) -> None:
         """Render the coarse bank of several targets now, so that the first frame need not wait for it."""
         if self.first_look is not None:
@@ -296,6 +311,11 @@ def recognize(
     _checked(image, mask, sonar)  # before anything is prepared
     recognizer = Recognizer(mesh, sonar, segmenter=segmenter, search=search, refine=refine, engine=engine)
     return recognizer(image, mask, semantic=semantic, threshold=threshold)
+
+
+def _recognize_one(shared: tuple[Recognizer, Any, float | None], image: Any, _: Engine) -> Recognition:
+    recognizer, mask, threshold = shared
+    return recognizer(image, mask, threshold=threshold)
 
 
 def refine_on_frame(

@@ -20,8 +20,8 @@ COVERAGES = {"within_68": 0.68, "within_95": 0.95}
 def record_of(result: Recognition, frame: str, seconds: float, tracked: Tracked | None = None) -> dict[str, Any]:
     """One line of the results file for a Recognition: angles in degrees in [0, 360), lengths in metres.
 
-    `seconds` [s] is the time it took. With `tracked`, yaw, its standard deviation, x, y and the hypotheses are those of
-    the belief, and the frame's own yaw is added.
+    `seconds` [s] is the time it took, which is longer where others were recognized at the same time. With `tracked`,
+    yaw, its standard deviation, x, y and the hypotheses are those of the belief, and the frame's own yaw is added.
     """
 
     def degrees(angle: float | None) -> float | None:

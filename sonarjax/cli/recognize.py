@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import secrets
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
@@ -76,35 +76,45 @@ def run(args: argparse.Namespace) -> int:
     meshes = {name: load_mesh(file, sonar, args) for name, file in files.items()}
     # A single mesh is passed without its name; results then call it `target`.
     targets = meshes if len(meshes) > 1 else next(iter(meshes.values()))
-    refine = None if args.no_refine else MAP_REFINEMENT
+    refine, engine = None if args.no_refine else MAP_REFINEMENT, CpuEngine()
     try:  # before any frame is read, refuse a sonar that sees no floor or too much of it
-        recognizer = Recognizer(targets, sonar, segmenter=args.segmenter, refine=refine, engine=CpuEngine())
+        recognizer = Recognizer(targets, sonar, segmenter=args.segmenter, refine=refine, engine=engine)
     except SonarjaxError as error:
         raise SonarjaxError(naming(args.sonar, error)) from error
     motion = Turning() if args.motion == "turning" else Standing()
     tracker = Tracker(recognizer, motion, threshold=args.threshold) if args.track else None
     if args.cluster is not None:
         work = Work(secrets.token_hex(8), targets, sonar, args.segmenter, refine, args.threshold)
-        with engine_of(args.cluster) as engine:
-            return _write(args.out, engine.stream(recognize_on_worker, work, each_frame(args.frames)))
+        with engine_of(args.cluster) as workers:
+            return _write(args.out, workers.stream(recognize_on_worker, work, each_frame(args.frames)))
     if len(meshes) > 1:
         complain(f"preparing {len(meshes)} targets", kind="")
         recognizer.prepare()
 
+    frames = each_frame(args.frames)
+    if tracker is not None:
+        return _write(args.out, _in_order(tracker, frames))
+    return _write(args.out, engine.stream(_recognize_alone, (recognizer, args.threshold), frames))
+
+
+def _in_order(tracker: Lazy, frames: Iterable[tuple[str, Lazy]]) -> Iterator[dict[str, Any]]:
+    """The records of a track: one frame after the other, because each is expected where those before it led."""
+
     def recognized(image: Lazy, mask: Lazy) -> tuple[Lazy, Lazy]:
-        if tracker is None:
-            return recognizer(image, mask, threshold=args.threshold), None
         found = tracker.recognize(image, mask)
         return found, tracker.take(found)
 
-    def records() -> Iterator[dict[str, Any]]:
-        for name, frame in each_frame(args.frames):
-            record = _record(name, frame, recognized)
-            if tracker is not None and "error" in record:
-                tracker.take(None)
-            yield record
+    for name, frame in frames:
+        record = _record(name, frame, recognized)
+        if "error" in record:
+            tracker.take(None)
+        yield record
 
-    return _write(args.out, records())
+
+def _recognize_alone(shared: tuple[Lazy, float | None], named: tuple[str, Lazy], _: Lazy) -> dict[str, Any]:
+    """The record of a frame without a track, given `shared`: the recognizer, and the threshold or None."""
+    recognizer, threshold = shared
+    return _record(*named, lambda image, mask: (recognizer(image, mask, threshold=threshold), None))
 
 
 def _write(path: str, records: Iterator[dict[str, Any]]) -> int:
@@ -165,8 +175,7 @@ def recognize_on_worker(work: Work, named: tuple[str, Lazy], engine: Lazy) -> di
         named: Name and frame, as `each_frame` yields them.
         engine: The worker's engine.
     """
-    recognizer = _own_recognizer(work, engine)
-    return _record(*named, lambda image, mask: (recognizer(image, mask, threshold=work.threshold), None))
+    return _recognize_alone((_own_recognizer(work, engine), work.threshold), named, engine)
 
 
 @lru_cache(maxsize=1)

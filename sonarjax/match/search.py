@@ -7,6 +7,7 @@ looked at next is decided on the host.
 from __future__ import annotations
 
 import math
+import threading
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -114,6 +115,7 @@ class TargetSearch:
         self.mesh, self.sonar, self.config, self.name, self.engine = mesh, sonar, config, name, engine
         self.compact = compact
         self._banks: dict[tuple[int, bool, bool], _Entry | None] = {}
+        self._lock = threading.Lock()  # several frames may be searched at once: each bank is rendered by the first
         self.distances = _ground_ranges(sonar, config.range_step)
         self.size = _bank_window(mesh, sonar, float(self.distances[0]))
 
@@ -168,11 +170,12 @@ class TargetSearch:
     def _bank(self, index: int, coarse: bool, masked: bool) -> _Entry | None:
         """The bank at distance `index`, ready to be matched; None where the object is not in view there."""
         key = (index, coarse, masked and not self.compact)
-        if key not in self._banks:
-            self._banks[key] = self._render(float(self.distances[index]), coarse, masked)
-        found = self._banks[key]
-        if self.compact and not coarse:
-            self._make_room(key)
+        with self._lock:
+            if key not in self._banks:
+                self._banks[key] = self._render(float(self.distances[index]), coarse, masked)
+            found = self._banks[key]
+            if self.compact and not coarse:
+                self._make_room(key)
         return found
 
     def _make_room(self, latest: tuple[int, bool, bool]) -> None:
