@@ -5,6 +5,7 @@ Fields are (part, range, beam), real part first, with a mean intensity of 1. Int
 
 from __future__ import annotations
 
+from functools import reduce
 from typing import Any
 
 import jax
@@ -109,7 +110,7 @@ def multi_look(intensity: Float[Array, "range beam"], looks: Any) -> Float[Array
     rows, beams = intensity.shape
     weights = look_weights(looks)
     shifts = [(k * rows // 13, k * beams // 13) for k in LOOK_SHIFTS]
-    return sum(w * jnp.roll(intensity, shift, (0, 1)) for w, shift in zip(weights, shifts, strict=True))
+    return reduce(jnp.add, [w * jnp.roll(intensity, shift, (0, 1)) for w, shift in zip(weights, shifts, strict=True)])
 
 
 def look_weights(looks: Any) -> Float[Array, "look"]:
