@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, UInt8
 
 from sonarjax.match.masked import NEAR_CONSTANT
 from sonarjax.match.ncc import MatchPositions, best_position, per_template
-from sonarjax.match.spectra import correlate, frame_spectrum, over_chunks, pack, unit_templates
+from sonarjax.match.spectra import ROUNDING, correlate, frame_spectrum, over_chunks, pack, unit_templates
 
 ROWS, COLUMNS = 128, 32
 """Templates are padded to multiples of this many range bins and beams, so that banks of one size share compiled
@@ -47,11 +47,18 @@ def match_compact(image: Float[np.ndarray, "range beam"], bank: CompactBank) -> 
     Returns:
         The best score (yaw,) of each template (eq. 4), and the corner of its best window.
     """
-    centred = image.astype(np.float64) - image.mean(dtype=np.float64)
+    centred = centred_on_host(image)
     height, width = bank.levels.shape[1:]
     more = (0, 0), (0, min(-height % ROWS, image.shape[0] - height)), (0, min(-width % COLUMNS, image.shape[1] - width))
     return _match(centred.astype(np.float32), window_scale(centred, (height, width)), np.pad(bank.levels, more),
                   np.int32(height), np.int32(width))  # fmt: skip
+
+
+def centred_on_host(image: np.ndarray) -> np.ndarray:
+    """`image` minus its mean, as `spectra.centred_frame`, but in float64 for sums over windows."""
+    mean = image.mean(dtype=np.float64)
+    constant = np.ptp(image) <= ROUNDING * abs(mean)
+    return np.zeros(image.shape) if constant else image.astype(np.float64) - mean
 
 
 def window_scale(centred: np.ndarray, window: tuple[int, int]) -> np.ndarray:

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array
 
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.match.compact import CompactBank, window_scale
+from sonarjax.match.compact import CompactBank, centred_on_host, window_scale
 from sonarjax.match.low_rank import Factors, combined, factors
 from sonarjax.match.ncc import MatchPositions
 from sonarjax.match.search import SearchConfig, TargetSearch, decimated
@@ -166,7 +166,7 @@ class FirstLook:
         first, last = max(top, 0), min(top + height + 2 * reach, len(small))
         canvas[first - top : last - top, beside : beside + small.shape[1]] = small[first:last]
         seen = canvas[: height + 2 * reach, : small.shape[1] + 2 * beside]
-        centred = seen.astype(np.float64) - seen.mean(dtype=np.float64)
+        centred = centred_on_host(seen)
         scale = window_scale(centred, shelf.box)[: 2 * reach + 1, : small.shape[1] + 1]
         canvas = np.zeros(self._canvas, np.float32)
         canvas[: seen.shape[0], : seen.shape[1]] = centred

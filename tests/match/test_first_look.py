@@ -44,6 +44,15 @@ def test_compact_banks_score_as_eq_4_does(size: tuple[int, int], semantic_image:
     assert abs(bank.templates - templates).max() <= 0.5 / 255 + 1e-6
 
 
+def test_a_frame_that_is_constant_up_to_rounding_shows_nothing(look: FirstLook) -> None:
+    steps = np.random.default_rng(0).integers(-2, 3, (128, 96)).astype(np.float32)
+    image = np.float32(0.5) + steps * np.spacing(np.float32(0.5))
+    assert np.ptp(image) > 0
+    bank = CompactBank.of(np.random.default_rng(1).uniform(0, 1, (3, 40, 20)))
+    np.testing.assert_array_equal(match_compact(image, bank).scores, 0.0)
+    assert {sighting.score for sighting in look.best(image).values()} == {0.0}
+
+
 @pytest.mark.parametrize(("name", "masked"), [("plate", False), ("post", True), ("bar", False)])
 def test_first_look_finds_the_target_and_its_distance(look: FirstLook, name: str, masked: bool) -> None:
     image = np.asarray(sj.render(boxes()[name], sj.Pose(2.35, 0.1, 0.5), SONAR).semantic())
