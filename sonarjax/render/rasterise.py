@@ -108,7 +108,7 @@ def _below_jvp(rows: int, primals: tuple, tangents: tuple) -> tuple[Array, Array
 def _summed(
     values: Float[Array, "slab item edge"], weights: Float[Array, "slab item sum"]
 ) -> Float[Array, "slab sum edge"]:
-    return jnp.einsum("sie,sik->ske", values, weights, precision=jax.lax.Precision.HIGHEST)
+    return jnp.einsum("sne,snk->ske", values, weights, precision=jax.lax.Precision.HIGHEST)
 
 
 def ramp(
