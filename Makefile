@@ -1,4 +1,4 @@
-# make test        lint, spelling, types, fast tests        make test-all    that, slow tests, experiments and notebooks
+# make test        lint, spelling, types, fast tests    make test-all    that, slow tests, experiments and notebooks
 # make smoke       every experiment and notebook in brief  make reproduce   the main job: figures and report under runs/
 # make docs        the site: spelling, links, API        make docs-all    the same with the notebooks executed
 # make bench       speed against peers                    make format      rewrite the code in our format
