@@ -14,7 +14,7 @@ import numpy as np
 from sonarjax.calibrate.covariance import Certainty
 from sonarjax.calibrate.detect import Prepared, best_height, detect
 from sonarjax.calibrate.fit import Job, fit_frames
-from sonarjax.calibrate.look import LEAST_EXPONENT, Look
+from sonarjax.calibrate.look import Look, sensor_of
 from sonarjax.calibrate.parameters import changed_sonar, check_free, prior_std
 from sonarjax.calibrate.solver import Fit
 from sonarjax.engine import PLAIN, Engine
@@ -42,7 +42,7 @@ class Calibration:
     sonar: Sonar
     """The nominal sonar, with the numbers that the frames determine replaced."""
     sensor: SensorModel
-    """The nominal device, with the fitted object gain, noise, display exponent, skirt, pulse and beam width.
+    """The nominal device, with the fitted object gain, noise, display law, skirt, pulse and beam width.
 
     `tvg_exponent` is the slope of the noise. The fitted model is another one than `SensorModel`, so these are the
     nearest values: good for comparison, not for simulation.
@@ -233,11 +233,7 @@ def _as_calibration(
     std = dict(zip(job.free, np.sqrt(np.diag(known.covariance)).tolist(), strict=True))
     return Calibration(
         sonar=sonar.replace(**numbers, geometry_std=GeometryStd(**std)),
-        sensor=SensorModel(
-            object_gain=10 * look.gain / math.log(10.0), noise=math.exp(look.noise), log_share=0.0,
-            exponent=math.exp(look.exponent) + LEAST_EXPONENT, elevation_skirt=look.skirt,
-            tvg_exponent=look.noise_slope, pulse_bins=look.pulse, beam_widening=look.widening,
-        ),
+        sensor=sensor_of(look),
         poses=Pose(x=x, y=y, yaw=np.mod(yaw, 2 * math.pi)),
         free=job.free,
         change=change,

@@ -18,7 +18,9 @@ class Look(NamedTuple):
     noise: Any
     """Logarithm of the ratio of the noise to the floor's energy [1], at the reference range."""
     exponent: Any
-    """Logarithm of the power of energy that is stored [1]."""
+    """Logarithm of the power of energy in what is stored [1]."""
+    log_share: Any
+    """Share of the logarithm in how what is stored grows at the floor's energy [1]; the power has the rest."""
     skirt: Any
     """How steeply the vertical pattern falls outside the aperture [dB per degree]."""
     slope: Any
@@ -54,7 +56,8 @@ _DB = math.log(10.0) / 10
 _PRIORS = Look(
     gain=_Prior(_DB * float(_DEVICE.object_gain), 1.0, 0.5),
     noise=_Prior(math.log(float(_DEVICE.noise)), 2.0, 0.8),
-    exponent=_Prior(-2.0, 1.0, 0.4),
+    exponent=_Prior(-1.2, 0.6, 0.3),
+    log_share=_Prior(0.5, 0.35, 0.2),
     skirt=_Prior(float(_DEVICE.elevation_skirt), 1.5, 2.0),
     slope=_Prior(0.0, 1.5, 0.5),
     noise_slope=_Prior(float(_DEVICE.tvg_exponent), 1.5, 1.0),
@@ -75,3 +78,22 @@ LOOK_TRUST = Look(*(prior.trust for prior in _PRIORS))
 """Largest change in one iteration."""
 LEAST_EXPONENT = 0.02
 """Least power of energy [1], which is practically a logarithm."""
+
+
+def sensor_of(look: Look) -> SensorModel:
+    """The nominal device with this look, whose white is at least 1 dB above its black.
+
+    The display's blend of a logarithm and a power (`sensor.compress`) is that of `picture` up to a factor and an
+    offset.
+    """
+    power = math.exp(look.exponent) + LEAST_EXPONENT
+    dynamic_range = max(float(look.white - look.dark) / _DB, 1.0)
+    # The slopes at energy 1 of the logarithm and of the power have the ratio share : 1 − share.
+    share = min(max(float(look.log_share), 0.0), 1.0)
+    logarithm = share * power * math.exp(-power * look.white) * _DB * dynamic_range
+    return SensorModel(
+        object_gain=look.gain / _DB, noise=math.exp(look.noise), elevation_skirt=look.skirt,
+        tvg_exponent=look.noise_slope, pulse_bins=look.pulse, beam_widening=look.widening,
+        gain=look.white / _DB, dynamic_range=dynamic_range, exponent=power,
+        log_share=logarithm / (logarithm + 1 - share),
+    )  # fmt: skip

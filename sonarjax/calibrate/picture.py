@@ -1,8 +1,8 @@
 """The picture that a sonar would store of an object on a lit floor. Calibration fits it to frames.
 
 Unlike a template it includes the brightness of the floor: the vertical pattern, whose edges show how the sonar is
-tilted, the slope of the gain, and the noise. A device stores a power of energy between black and white. An offset and a
-factor are free in each frame. A small power stands for a logarithm.
+tilted, the slope of the gain, and the noise. A device stores a blend of a logarithm and a power of energy, between
+black and white. An offset and a factor are free in each frame.
 """
 
 from __future__ import annotations
@@ -62,9 +62,16 @@ def picture(
     `bounce` is the share of energy left after a bounce on the floor [1]. At the range `reference` [m] the slopes are 1.
     """
     energy = _received(sonar, look, layers, bounce, column, reference)
-    shown = clipped(energy, jnp.exp(look.dark), jnp.exp(look.white))
+    return stored(clipped(energy, jnp.exp(look.dark), jnp.exp(look.white)), look)
+
+
+def stored(energy: Float[Array, "*batch"], look: Look) -> Float[Array, "*batch"]:
+    """What a device stores of `energy` (*batch) between black and white, up to an offset and a factor.
+
+    Blends a logarithm and a power, as `sensor.compress` does. Both are 0, and have slope 1, at the floor's energy.
+    """
     power = jnp.exp(look.exponent) + LEAST_EXPONENT
-    return (shown**power - 1) / power
+    return look.log_share * jnp.log(energy) + (1 - look.log_share) * (energy**power - 1) / power
 
 
 def _received(

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import sonarjax as sj
-from sonarjax.calibrate.look import LOOK
+from sonarjax.calibrate.look import LOOK, sensor_of
 from sonarjax.calibrate.picture import (
     UNEVEN_STD,
     clipped,
@@ -21,10 +21,11 @@ from sonarjax.calibrate.picture import (
     measured_mean,
     object_layers,
     picture,
+    stored,
 )
 from sonarjax.render import WindowSize
 from sonarjax.scene.pose import rotation_x, rotation_y
-from sonarjax.sensor import SensorModel, propagation
+from sonarjax.sensor import SensorModel, compress, propagation
 from sonarjax.sensor.beams import beam_mixing
 from sonarjax.sensor.observe import received_energy
 
@@ -52,7 +53,7 @@ def test_bare_floor_is_as_bright_as_the_simulator_has_it() -> None:
     """Energy of the floor by the vertical pattern, pulse and beams, without noise; slopes are free in the picture."""
     layers = jnp.zeros((2, 3, 64, 16))
     quiet = {"noise": -30.0, "dark": -30.0, "white": 30.0, "leak": -30.0, "streak": -30.0}
-    look = LOOK._replace(exponent=math.log(1 - 0.02), **quiet)  # energy itself
+    look = LOOK._replace(exponent=math.log(1 - 0.02), log_share=0.0, **quiet)  # energy itself
     drawn = np.asarray(picture(SONAR, look, layers, jnp.zeros(()), jnp.int32(10), 2.5)) + 1
     lit = propagation.elevation_gain(propagation.floor_elevation(SONAR), SONAR.elevation_aperture, look.skirt)
     expected = propagation.pulse_blur(lit, look.pulse) @ beam_mixing(SONAR, look.widening, 2.0).T
@@ -76,9 +77,8 @@ def test_the_simulators_mean_energy_is_the_pictures() -> None:
     frame = replace(sj.render(mesh, pose, propagation.with_skirts(sonar)), sonar=sonar)
     wanted = np.asarray(received_energy(frame, device))
     layers = object_layers(mesh, sonar, pose, jnp.zeros(3), 1.0, jnp.int32(0), WindowSize(sonar.shape, sonar.n_beams))
-    look = LOOK._replace(
-        exponent=math.log(1 - 0.02), noise=-30.0, dark=-30.0, white=30.0, leak=-30.0, streak=-30.0, rim=1.0
-    )
+    quiet = {"noise": -30.0, "dark": -30.0, "white": 30.0, "leak": -30.0, "streak": -30.0}
+    look = LOOK._replace(exponent=math.log(1 - 0.02), log_share=0.0, rim=1.0, **quiet)
     drawn = np.asarray(picture(sonar, look, layers, jnp.zeros(()), jnp.int32(0), 2.5)) + 1
     bright = wanted > 3
     # The floor's slope in range is free in the picture: compare with bare floor at the same range.
@@ -92,6 +92,18 @@ def test_leak_keeps_the_energy_and_reaches_beams_nearby() -> None:
     np.testing.assert_allclose(mixing.sum(axis=1), 1.0, rtol=1e-6)
     np.testing.assert_allclose(np.diag(mixing), 1 / 1.1, rtol=1e-6)
     assert mixing[40, 43] > mixing[40, 60] > 0 and mixing[40, 41] == 0
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+def test_the_display_law_is_that_of_the_sensor_it_is_reported_as(share: float) -> None:
+    look = LOOK._replace(log_share=share, exponent=math.log(0.35), white=4.0, dark=-5.0)
+    device = sensor_of(look)
+    energy = jnp.exp(jnp.linspace(-4.5, 3.5, 50))  # between black and white
+    grey = np.asarray(compress(energy, device.gain, device.log_share, device.dynamic_range, device.exponent))
+    law = np.asarray(stored(energy, look))
+    factor, offset = np.polyfit(law, grey, 1)
+    assert factor > 0
+    np.testing.assert_allclose(factor * law + offset, grey, atol=1e-4)
 
 
 def test_black_and_white_bound_the_energy() -> None:
