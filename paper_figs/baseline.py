@@ -39,6 +39,11 @@ COMPARED: dict[str, list[tuple[str, str]]] = {
         for what, key in (("median error", "median"), ("95 % error", "p95"))
         for k, by in enumerate(("yaw", "x", "y"))
     ],
+    "real_turntable": [
+        (f"yaw, {what}, {who} [°]", f"rows.{row}.{key}")
+        for who, row in (("none", 2), ("otsu", 13), ("pix2pix", 24))  # found by `recognize`, and refined
+        for what, key in (("median", "median_deg"), ("90 %", "p90_deg"))
+    ],
 }
 """For each experiment what is compared: a name, and where it stands in the results (seed 0)."""
 OF_THE_SAME = {"gradient_check": "gradient_check_of_three"}
