@@ -13,7 +13,7 @@ import numpy as np
 
 from sonarjax.calibrate.covariance import Certainty
 from sonarjax.calibrate.detect import Prepared, best_height, detect
-from sonarjax.calibrate.fit import Job, fit_frames
+from sonarjax.calibrate.fit import FINE, Job, fit_frames, with_nominal_look
 from sonarjax.calibrate.look import Look, sensor_of
 from sonarjax.calibrate.parameters import changed_sonar, check_free, prior_std
 from sonarjax.calibrate.solver import Fit
@@ -141,7 +141,9 @@ def calibrate(
     ]
     job = Job(prepared, mesh, sonar, names, std, engine, progress)
     if poses is not None:
-        return _result(job, poses, np.ones(len(images)), np.ones(len(images), bool), np.zeros(len(names)))
+        every = np.ones(len(images), bool)
+        fit, known = fit_frames(job, *_of(job, poses, every), with_nominal_look(np.zeros(len(names))))
+        return _as_calibration(job, fit, known, poses, np.ones(len(images)), every)
     begin, share = _first_guess(job, search), 1.0 if present else LEAST_SHARE
 
     def found_with(now: Sonar) -> tuple[Pose, np.ndarray]:
@@ -151,12 +153,15 @@ def calibrate(
         return poses, np.array([one.probability for one in seen])
 
     at, probability = found_with(changed_sonar(sonar, names, jnp.asarray(begin)))
-    first = _result(job, at, probability, _likeliest(probability, share), begin)
-    at, probability = found_with(first.sonar.replace(geometry_std=None))  # search again with the nearly right sonar
+    first, _ = fit_frames(job, *_of(job, at, _likeliest(probability, share)), with_nominal_look(begin))
+    # Search again with the nearly right sonar.
+    nearly = changed_sonar(sonar, names, jnp.asarray(first.point.shared[: len(names)], jnp.float32))
+    at, probability = found_with(nearly)
     used = probability >= LIKELY if made.rule is not None and not present else _likeliest(probability, share)
     if not used.any():
         raise SonarjaxError(f"frames: the target was not found in any of the {len(images)} frames")
-    return _result(job, at, probability, used, first.change, coarse=False)
+    fit, known = fit_frames(job, *_of(job, at, used), first.point.shared, (FINE,))
+    return _as_calibration(job, fit, known, at, probability, used)
 
 
 def check_frames(frames: Any, masks: Any, sonar: Sonar) -> tuple[list[np.ndarray], list[np.ndarray | None]]:
@@ -207,15 +212,11 @@ def _likeliest(probability: np.ndarray, share: float) -> np.ndarray:
     return (probability >= LIKELY) | (np.argsort(np.argsort(-probability)) < least)
 
 
-def _result(
-    job: Job, poses: Pose, probability: np.ndarray, used: np.ndarray, begin: np.ndarray, coarse: bool = True
-) -> Calibration:
-    """Calibrate from the `used` frames (frame,), their poses and the first changes (free,) of the free numbers."""
+def _of(job: Job, poses: Pose, used: np.ndarray) -> tuple[list[Prepared], list[Pose]]:
+    """The `used` frames (frame,) and their poses."""
     which = np.flatnonzero(used)
-    starts = [jax.tree.map(lambda v, k=k: np.float32(np.asarray(v)[k]), poses) for k in which]
-    frames = [job.frames[k] for k in which]
-    fit, known = fit_frames(job, frames, starts, begin, coarse)
-    return _as_calibration(job, fit, known, poses, probability, used)
+    at = [jax.tree.map(lambda v, k=k: np.float32(np.asarray(v)[k]), poses) for k in which]
+    return [job.frames[k] for k in which], at
 
 
 def _as_calibration(

@@ -33,8 +33,18 @@ from sonarjax.render.region import image_azimuth
 from sonarjax.scene import Mesh, Pose
 from sonarjax.sonar import Sonar
 
-BLURS, ITERATIONS = (8.0, 2.0), (6, 14)
-"""Blurs of the comparison [range bins], coarse to fine, and the most iterations at each."""
+
+class Stage(NamedTuple):
+    """One stage of a fit."""
+
+    blur: float
+    """Blur of the comparison [range bins]."""
+    iterations: int
+    """Most iterations."""
+
+
+COARSE, FINE = Stage(8.0, 6), Stage(2.0, 14)
+"""Where the sonar may be far off, and where it is nearly right."""
 TILTS = (0.0, -1.2, -0.6, 0.6, 1.2)
 """Tilts that are tried first, as multiples of the prior's standard deviation."""
 TILT_FRAMES, TILT_ITERATIONS = 3, 6
@@ -62,23 +72,31 @@ class Job(NamedTuple):
     """Called with a text that says what is being done."""
 
 
-def fit_frames(
-    job: Job, frames: Sequence[Prepared], starts: Sequence[Pose], begin: np.ndarray, coarse: bool
-) -> tuple[Fit, Certainty]:
-    """Fit `frames` jointly, from their poses and the changes `begin` (free,) of the free numbers; say how well they are
-    known.
+def with_nominal_look(change: np.ndarray) -> np.ndarray:
+    """Where a fit begins (free + look,): at a `change` (free,) of the free numbers, with the nominal device's look."""
+    return np.concatenate([change, LOOK])
 
-    `coarse` if these may be far off. A number that the frames do not determine is left unchanged.
+
+def fit_frames(
+    job: Job, frames: Sequence[Prepared], starts: Sequence[Pose], begin: np.ndarray,
+    stages: Sequence[Stage] = (COARSE, FINE),
+) -> tuple[Fit, Certainty]:  # fmt: skip
+    """Fit `frames` jointly in `stages`, from their poses and `begin` (free + look,); say how well all is known.
+
+    `begin` holds the changes of the free numbers, then the look. A number that the frames do not determine is left
+    unchanged.
     """
-    size = _window(job, starts, begin)
-    observations = [_observation(job, frame, at, size, begin) for frame, at in zip(frames, starts, strict=True)]
-    point = Point(np.concatenate([begin, LOOK]), np.tile(np.eye(OWN)[POSE] * BOUNCE, (len(observations), 1)))
-    fit = _fitted(job, observations, size, point, (), coarse)
+    change = begin[: len(job.free)]
+    size = _window(job, starts, change)
+    observations = [_observation(job, frame, at, size, change) for frame, at in zip(frames, starts, strict=True)]
+    point = Point(begin, np.tile(np.eye(OWN)[POSE] * BOUNCE, (len(observations), 1)))
+    fit = _fitted(job, observations, size, point, (), stages)
     known = certainty(fit.information, fit.scores, job.std, job.free)
     loose = tuple(name for name, told in known.determined.items() if not told)
     if loose:
         kept = np.array([name not in loose for name in job.free] + [True] * len(LOOK))
-        fit = _fitted(job, observations, size, fit.point._replace(shared=fit.point.shared * kept), loose, False)
+        again = fit.point._replace(shared=fit.point.shared * kept)
+        fit = _fitted(job, observations, size, again, loose, stages[-1:])
     return fit, known
 
 
@@ -99,12 +117,14 @@ def _observation(job: Job, frame: Prepared, start: Pose, size: WindowSize, chang
 
 
 def _fitted(
-    job: Job, observations: Sequence[Observation], size: WindowSize, point: Point, fixed: tuple[str, ...], coarse: bool
-) -> Fit:
-    """The joint fit from `point`, coarse to fine, or only fine; `fixed` numbers stay as they are."""
+    job: Job, observations: Sequence[Observation], size: WindowSize, point: Point, fixed: tuple[str, ...],
+    stages: Sequence[Stage],
+) -> Fit:  # fmt: skip
+    """The joint fit from `point`, one stage after the other; `fixed` numbers stay as they are."""
     prior = make_prior(job.free, job.std, fixed)
     reference = np.float32((float(job.sonar.range_min) + float(job.sonar.range_max)) / 2)
-    for blur, iterations in list(zip(BLURS, ITERATIONS, strict=True))[0 if coarse else 1 :]:
+    for stage in stages:
+        blur, iterations = stage
         sampling = make_sampling(job.sonar.shape, blur)
         spread = _row_spread(observations, sampling)
         for last in (False, True):
@@ -121,13 +141,13 @@ def _fitted(
 
                 return job.engine.map(one, range(count))
 
-            if coarse and blur == BLURS[0] and not last:
+            if stage is COARSE and not last:
                 point = _best_tilt(job, evaluate, point, prior)
             most = iterations if last else iterations // 2
             fit = solve_jointly(evaluate, point, prior, iterations=most)
             job.progress(f"fitted with a blur of {blur:g} range bins: cost {fit.costs.sum():.0f}")
             point, spread = fit.point, _smooth(fit.spread)
-            if blur == BLURS[-1] and not last:
+            if stage is stages[-1] and not last:
                 prior = prior._replace(overcounted=overcounted(fit.information, fit.scores, job.std))
     return fit
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from sonarjax.calibrate.calibration import check_frames
 from sonarjax.calibrate.detect import Prepared
-from sonarjax.calibrate.fit import Job, fit_frames
+from sonarjax.calibrate.fit import FINE, Job, fit_frames, with_nominal_look
 from sonarjax.calibrate.parameters import SIZES, changed_mesh, prior_std
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
@@ -102,7 +102,7 @@ def fit_size(
     starts = starts_of(poses, len(images), sonar)
     prepared = [Prepared(image, mask, image) for image, mask in zip(images, measured, strict=True)]
     job = Job(prepared, mesh, sonar.replace(geometry_std=None), names, std, engine, progress)
-    fit, known = fit_frames(job, prepared, starts, np.zeros(len(names)), coarse=False)
+    fit, known = fit_frames(job, prepared, starts, with_nominal_look(np.zeros(len(names))), (FINE,))
     change = fit.point.shared[: len(names)]
     fitted = mesh.with_vertices(changed_mesh(mesh, names, jnp.asarray(change, jnp.float32)).vertices)
     own = fit.point.own
