@@ -20,7 +20,7 @@ class Look(NamedTuple):
     exponent: Any
     """Logarithm of the power of energy in what is stored [1]."""
     log_share: Any
-    """Share of the logarithm in how what is stored grows at the floor's energy [1]; the power has the rest."""
+    """The logarithm's share of the slope of what is stored, at the floor's energy [1]; the power has the rest."""
     skirt: Any
     """How steeply the vertical pattern falls outside the aperture [dB per degree]."""
     slope: Any

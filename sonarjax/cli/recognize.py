@@ -98,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _in_order(tracker: Lazy, frames: Iterable[tuple[str, Lazy]]) -> Iterator[dict[str, Any]]:
-    """The records of a track: one frame after the other, because each is expected where those before it led."""
+    """The records of a track, one frame after the other: each is also searched where the frames before it led."""
 
     def recognized(image: Lazy, mask: Lazy) -> tuple[Lazy, Lazy]:
         found = tracker.recognize(image, mask)
