@@ -83,7 +83,9 @@ def streaks(
         level: Share of a glint's energy that its row gains [1].
     """
     peak = jnp.max(image * highlight, axis=1, keepdims=True)
-    return image + level * peak * (peak / jnp.maximum(jnp.max(peak), 1e-30))
+    brightest = jnp.max(peak)
+    shown = brightest > 0  # else the derivative of 0/0 would be NaN
+    return image + level * peak * jnp.where(shown, peak / jnp.where(shown, brightest, 1.0), 0.0)
 
 
 def beam_gains(n_beams: int, std_db: Any, *, key: jax.Array) -> Float[Array, "beam"]:

@@ -74,6 +74,15 @@ def test_streak_lights_the_glint_s_row_only() -> None:
     assert np.abs(np.delete(added, [5, 12], axis=0)).max() < 1e-6
 
 
+def test_streaks_of_a_frame_without_an_object_have_a_derivative() -> None:
+    image, nothing = jnp.ones((8, 4)), jnp.zeros((8, 4))
+    added, slope = jax.jvp(lambda level: streaks(image, nothing, level), (0.01,), (1.0,))
+    np.testing.assert_array_equal(added, image)
+    np.testing.assert_array_equal(slope, 0.0)
+    along = jax.jvp(lambda v: streaks(v, nothing, 0.01), (image,), (image,))[1]
+    np.testing.assert_array_equal(along, image)
+
+
 def test_beam_gains_spread_by_decibels(key: jax.Array) -> None:
     decibels = 10 * np.log10(np.asarray(beam_gains(20_000, 0.5, key=key)))
     assert decibels.std() == pytest.approx(0.5, rel=0.02)
