@@ -96,7 +96,8 @@ def _received(
     # vertical pattern. The difference amounts to a tenth of a pixel at the rim, so `rim` is fitted to the frames.
     apart = gain * echo / bare + (1 - shadow) * lit
     mixed = (echo / bare + 1 - shadow) * lit * (share * gain + 1 - share)
-    energy = apart + look.rim * (mixed - apart) + gain * bounce * bounced / bare
+    # With a `rim` above 1 the unlit part of an object would have a negative energy.
+    energy = jnp.maximum(apart + look.rim * (mixed - apart), 0.0) + gain * bounce * bounced / bare
     energy = pulse_blur(energy * far**look.slope, look.pulse)
     energy = streaks(energy, share, jnp.exp(look.streak))
     mixing = beam_mixing(sonar, jnp.maximum(look.widening, 0.3), BEAM_WAYS)

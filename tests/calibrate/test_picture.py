@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -67,6 +68,21 @@ def test_shadow_is_dark_and_echo_is_bright() -> None:
     seen = np.asarray(picture(SONAR, look, layers, jnp.zeros(()), jnp.int32(40), 2.5))
     assert (seen[22:28, 46:48] < bare[22:28, 46:48]).all() and (seen[11:13, 46:48] > bare[11:13, 46:48]).all()
     np.testing.assert_allclose(seen[:, :30], bare[:, :30], atol=0.02)  # but for the beams' side lobes
+
+
+def test_no_look_gives_what_is_not_a_number() -> None:
+    """An object where the vertical pattern hears nothing, with a `rim` beyond its range."""
+    layers = jnp.zeros((2, 3, 64, 16)).at[0, :2, :4, 4:10].set(jnp.asarray([0.05, 1.0])[:, None, None])
+    look = LOOK._replace(rim=2.0)
+    names = range(len(look))
+    for along in (type(look)(*(jnp.float32(k == j) for j in names)) for k in names):
+        shown = (
+            lambda at: picture(SONAR, at, layers, jnp.zeros(()), jnp.int32(10), 2.5),
+            (jax.tree.map(jnp.float32, look),),
+            (along,),
+        )
+        for values in jax.jvp(*shown):
+            assert np.isfinite(values).all()
 
 
 def test_the_simulators_mean_energy_is_the_pictures() -> None:
