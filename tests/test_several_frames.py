@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import time
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -32,24 +34,32 @@ def frames(mesh):
 
 
 def test_frames_at_once_give_what_they_give_one_by_one(mesh, frames, monkeypatch, tmp_path):
-    rendered, render = Counter(), TargetSearch._render
     monkeypatch.setattr(cpu, "cores", lambda: 4)
-
-    def counted(search, *which):
-        rendered[which] += 1
-        return render(search, *which)
-
     how = {"segmenter": "none", "refine": None}
     plain = sj.Recognizer(mesh, SONAR, **how)
     expected = [plain(frame, threshold=0.5) for frame in frames]
-    monkeypatch.setattr(TargetSearch, "_render", counted)
     several = sj.Recognizer(mesh, SONAR, engine=cpu.CpuEngine(tmp_path), **how)
     found = list(several.stream(iter(frames), threshold=0.5))
     assert [one.yaw for one in found] == [one.yaw for one in expected]
     for one, other in zip(found, expected, strict=True):
         np.testing.assert_allclose(one.scores_by_yaw, other.scores_by_yaw, atol=1e-5)
         assert one.threshold == 0.5
-    assert set(rendered.values()) == {1}  # each bank once, whichever frame needs it first
+
+
+def test_a_bank_is_rendered_once_for_all_threads(mesh, frames, monkeypatch):
+    rendered, render = Counter(), TargetSearch._render
+
+    def counted(search, *which):
+        rendered[which] += 1
+        time.sleep(0.05)  # long enough for another thread to need the same bank meanwhile
+        return render(search, *which)
+
+    monkeypatch.setattr(TargetSearch, "_render", counted)
+    search = TargetSearch(mesh, SONAR)
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(search.find, [frames[0]] * 4))
+    assert set(rendered.values()) == {1}
+    assert len({float(match.scores.max()) for match in found}) == 1
 
 
 def test_an_unfit_frame_ends_the_stream_when_its_turn_comes(mesh, frames, tmp_path):

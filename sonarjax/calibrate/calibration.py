@@ -142,7 +142,7 @@ def calibrate(
     job = Job(prepared, mesh, sonar, names, std, engine, progress)
     if poses is not None:
         every = np.ones(len(images), bool)
-        fit, known = fit_frames(job, *_of(job, poses, every), with_nominal_look(np.zeros(len(names))))
+        fit, known = fit_frames(job, *_used_frames(job, poses, every), with_nominal_look(np.zeros(len(names))))
         return _as_calibration(job, fit, known, poses, np.ones(len(images)), every)
     begin, share = _first_guess(job, search), 1.0 if present else LEAST_SHARE
 
@@ -153,14 +153,14 @@ def calibrate(
         return poses, np.array([one.probability for one in seen])
 
     at, probability = found_with(changed_sonar(sonar, names, jnp.asarray(begin)))
-    first, _ = fit_frames(job, *_of(job, at, _likeliest(probability, share)), with_nominal_look(begin))
+    first, _ = fit_frames(job, *_used_frames(job, at, _likeliest(probability, share)), with_nominal_look(begin))
     # Search again with the nearly right sonar.
     nearly = changed_sonar(sonar, names, jnp.asarray(first.point.shared[: len(names)], jnp.float32))
     at, probability = found_with(nearly)
     used = probability >= LIKELY if made.rule is not None and not present else _likeliest(probability, share)
     if not used.any():
         raise SonarjaxError(f"frames: the target was not found in any of the {len(images)} frames")
-    fit, known = fit_frames(job, *_of(job, at, used), first.point.shared, (FINE,))
+    fit, known = fit_frames(job, *_used_frames(job, at, used), first.point.shared, (FINE,))
     return _as_calibration(job, fit, known, at, probability, used)
 
 
@@ -212,7 +212,7 @@ def _likeliest(probability: np.ndarray, share: float) -> np.ndarray:
     return (probability >= LIKELY) | (np.argsort(np.argsort(-probability)) < least)
 
 
-def _of(job: Job, poses: Pose, used: np.ndarray) -> tuple[list[Prepared], list[Pose]]:
+def _used_frames(job: Job, poses: Pose, used: np.ndarray) -> tuple[list[Prepared], list[Pose]]:
     """The `used` frames (frame,) and their poses."""
     which = np.flatnonzero(used)
     at = [jax.tree.map(lambda v, k=k: np.float32(np.asarray(v)[k]), poses) for k in which]
