@@ -205,6 +205,11 @@ class CpuEngine(Engine):
             pool.shutdown(cancel_futures=True)
 
 
+def usual_engine() -> Engine:
+    """What entry points compute with: a `CpuEngine` on a CPU, plain JAX on an accelerator."""
+    return CpuEngine() if jax.default_backend() == "cpu" else Engine()
+
+
 def cores() -> int:
     """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

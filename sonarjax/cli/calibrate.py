@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
     check_outputs({"--out": args.out, "--png": args.png}, (*args.frames, args.target, args.sonar))
     start_jax()
     from sonarjax.calibrate import calibrate, check_free, compare_templates, describe_calibration
-    from sonarjax.cpu import CpuEngine
+    from sonarjax.cpu import usual_engine
     from sonarjax.sonar import Sonar
 
     check_free(args.free)
@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
         frames.append(frame)
     images, masks = [frame.image for frame in frames], [frame.mask for frame in frames]
     found = calibrate(
-        images, mesh, sonar, free=args.free, masks=masks, present=args.present, engine=CpuEngine(),
+        images, mesh, sonar, free=args.free, masks=masks, present=args.present, engine=usual_engine(),
         progress=partial(complain, kind=""),
     )  # fmt: skip
     found.sonar.to_toml(args.out)

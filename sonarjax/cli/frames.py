@@ -49,14 +49,14 @@ def start_jax() -> None:
 
 @contextmanager
 def engine_of(cluster: str | None) -> Iterator[Lazy]:
-    """The engine of a command: this machine's `CpuEngine`, or a `ClusterEngine` of the Dask workers at `cluster`.
+    """The engine of a command: this machine's usual one, or a `ClusterEngine` of the Dask workers at `cluster`.
 
     Raises SonarjaxError if there is no such cluster, or the package for it is missing.
     """
     if cluster is None:
-        from sonarjax.cpu import CpuEngine
+        from sonarjax.cpu import usual_engine
 
-        yield CpuEngine()
+        yield usual_engine()
         return
     from sonarjax.cluster import connect
 

@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     if args.track and len(files) > 1:
         raise SonarjaxError(f"--track: expected a single --target, got {len(files)} meshes")
     start_jax()
-    from sonarjax.cpu import CpuEngine
+    from sonarjax.cpu import usual_engine
     from sonarjax.recognize import Recognizer
     from sonarjax.refine import MAP_REFINEMENT
     from sonarjax.segment import check_segmenter
@@ -76,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
     meshes = {name: load_mesh(file, sonar, args) for name, file in files.items()}
     # A single mesh is passed without its name; results then call it `target`.
     targets = meshes if len(meshes) > 1 else next(iter(meshes.values()))
-    refine, engine = None if args.no_refine else MAP_REFINEMENT, CpuEngine()
+    refine, engine = None if args.no_refine else MAP_REFINEMENT, usual_engine()
     try:  # before any frame is read, refuse a sonar that sees no floor or too much of it
         recognizer = Recognizer(targets, sonar, segmenter=args.segmenter, refine=refine, engine=engine)
     except SonarjaxError as error:

@@ -27,10 +27,10 @@ def run(args: argparse.Namespace) -> int:
     check_label_files(args.out_dir, args.frames)
     start_jax()
 
-    from sonarjax.cpu import CpuEngine
+    from sonarjax.cpu import usual_engine
     from sonarjax.segment import load_segmenter
 
-    segmenter, engine = load_segmenter(), CpuEngine()
+    segmenter, engine = load_segmenter(), usual_engine()
     make_folder(args.out_dir)
     code, written = 0, dict[str, str]()
     for name, frame in each_frame(args.frames):

@@ -28,11 +28,11 @@ def add(commands: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the command; returns its exit code. Raises SonarjaxError for input that cannot be used."""
     start_jax()
-    from sonarjax.cpu import CpuEngine, keep_memory
+    from sonarjax.cpu import keep_memory, usual_engine
     from sonarjax.segment.training import train
 
     keep_memory()  # allocating a step's memory anew would take a third of the step
-    result = train(args.preset, args.run_dir, resume=args.resume, engine=CpuEngine())
+    result = train(args.preset, args.run_dir, resume=args.resume, engine=usual_engine())
     if not result.finished:
         complain(f"stopped after step {result.step}; --resume continues from there", "")
         return 130

@@ -24,6 +24,7 @@ from sonarjax.data.shapes import N_FACES, remove_walls, shape_mesh
 from sonarjax.data.tank_views import draw_tank_view
 from sonarjax.data.views import draw_view
 from sonarjax.engine import PLAIN, Engine
+from sonarjax.exact import exact_jit
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.records import record
 from sonarjax.render import RenderQuality
@@ -123,7 +124,7 @@ def paper_pairs(run_seed: int, settings: PairSettings = PAPER_SETTINGS) -> Pairs
     return make_pairs(PAPER_PAIRS, settings, key=split_key(run_seed, "train"))
 
 
-@partial(jax.jit, static_argnames=("size", "settings"))
+@exact_jit(static_argnames=("size", "settings"))
 def _chunk(key: Array, start: Array, size: int, settings: PairSettings) -> Pairs:
     numbers = start + jnp.arange(size, dtype=jnp.uint32)
     at_once = None if jax.default_backend() == "cpu" else size

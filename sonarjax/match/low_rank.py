@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from sonarjax.exact import exact_jit
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.match.masked import NEAR_CONSTANT
 from sonarjax.match.ncc import AnyArray, MatchPositions, PreparedBank, correlation_maps, prepare_bank
@@ -117,7 +118,7 @@ def match_low_rank(image: Float[AnyArray, "range beam"], low_rank: LowRankBank) 
     return _match(image, low_rank)
 
 
-@jax.jit
+@exact_jit
 def _match(image: Array, low_rank: LowRankBank) -> MatchPositions:
     return combined(correlation_maps(image, low_rank.components), low_rank.coefficients)
 
@@ -170,7 +171,7 @@ def scores_at(image: Float[AnyArray, "range beam"], bank: Any, places: MatchPosi
     return _scores_at(image, templates, places)
 
 
-@jax.jit
+@exact_jit
 def _scores_at(image: Array, templates: Array, places: MatchPositions) -> Array:
     centred = centred_frame(image)
     floor = NEAR_CONSTANT * jnp.sum(jnp.square(centred))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -14,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from sonarjax.engine import PLAIN, Engine
+from sonarjax.exact import exact_jit
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.records import record, static
 from sonarjax.refine.config import SLACK_M, RefineConfig
@@ -190,9 +190,8 @@ def search_pose(
     images, weights = (v.reshape(-1, *sonar.shape) for v in (image, weight))
     settings = _settings(config, free)
     static = _static(config, size, free, hold)
-    if traced:
-        jobs = images[which], weights[which], starts
-        found = one_by_one(lambda job: _refine(*job[:2], mesh, sonar, job[2], *settings, **static), jobs)
+    if traced or (axes and jax.default_backend() != "cpu"):  # an accelerator refines all starts at once
+        found = engine.run(_refine_all, images[which], weights[which], mesh, sonar, starts, *settings, **static)
         return jax.tree.map(lambda v: v.reshape((*axes, *v.shape[1:])), found)
 
     def job(k: int) -> tuple[PoseEstimate, Drawn]:
@@ -272,7 +271,16 @@ def _settings(config: RefineConfig, free: tuple[str, ...]) -> tuple[Any, ...]:
     return search, np.float32(config.sharpness), np.int32(VIEWS[config.template]), margin
 
 
-@partial(jax.jit, static_argnames=("size", "quality", "polished", "free", "hold"))
+@exact_jit(static_argnames=("size", "quality", "polished", "free", "hold"))
+def _refine_all(
+    images: Array, weights: Array, mesh: Mesh, sonar: Sonar, starts: Pose, *settings: Any, **static: Any
+) -> tuple[PoseEstimate, Drawn]:
+    """`_refine` of each start (start,) in its image (start, range, beam)."""
+    jobs = images, weights, starts
+    return one_by_one(lambda job: _refine(*job[:2], mesh, sonar, job[2], *settings, **static), jobs)
+
+
+@exact_jit(static_argnames=("size", "quality", "polished", "free", "hold"))
 def _refine(
     image: Array, weight: Array, mesh: Mesh, sonar: Sonar, start: Pose, search: Search, sharpness: Array, views: Array,
     margin: Array, *, size: WindowSize, quality: RenderQuality, polished: bool, free: tuple[str, ...],

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -12,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from sonarjax.engine import PLAIN, Engine
+from sonarjax.exact import exact_jit
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.records import record
 from sonarjax.render.frame import RenderQuality
@@ -24,7 +24,7 @@ from sonarjax.render.region import (
     place_window,
     plan_window,
 )
-from sonarjax.render.simulate import with_enough_room
+from sonarjax.render.simulate import one_by_one, with_enough_room
 from sonarjax.render.visibility import EXACT_LIMIT
 from sonarjax.render.window import render_window
 from sonarjax.scene import Mesh, Pose
@@ -33,6 +33,7 @@ from sonarjax.sonar import Sonar
 BANK_QUALITY = RenderQuality(sub_beams=1)
 ROW_STEP = 32  # rows of a window are rounded up to multiples of this: a finer step than elsewhere, as every view pays
 VIEWS = 9  # templates that one call of the compiled function renders
+VMAPPED = 36  # the same on an accelerator, where they are rendered at once
 TOUCHED = 0.01  # a pixel belongs to the object when its semantic value is this far from the background's
 
 
@@ -164,12 +165,13 @@ def _all_views(
     quality: RenderQuality,
     engine: Engine,
 ) -> BankViews:
-    """Render all views, VIEWS at a time, so that banks of any length share compiled code. The last part is filled up by
+    """Render all views, a few at a time, so that banks of any length share compiled code. The last part is filled up by
     repeating the last view.
     """
-    parts = -(-len(attitudes) // VIEWS)
-    filler = np.repeat(attitudes[-1:], parts * VIEWS - len(attitudes), axis=0)
-    padded = np.concatenate([attitudes, filler]).reshape(parts, VIEWS, -1)
+    size_of_part = VIEWS if jax.default_backend() == "cpu" else VMAPPED
+    parts = -(-len(attitudes) // size_of_part)
+    filler = np.repeat(attitudes[-1:], parts * size_of_part - len(attitudes), axis=0)
+    padded = np.concatenate([attitudes, filler]).reshape(parts, size_of_part, -1)
 
     def render_part(mesh: Mesh) -> BankViews:
         found = engine.map(
@@ -182,7 +184,7 @@ def _all_views(
     return with_enough_room(render_part, mesh)
 
 
-@partial(jax.jit, static_argnames=("size", "quality"))
+@exact_jit(static_argnames=("size", "quality"))
 def _render_views(
     mesh: Mesh, sonar: Sonar, attitudes: Array, x: Any, y: Any, *, size: WindowSize, quality: RenderQuality
 ) -> BankViews:
@@ -192,7 +194,7 @@ def _render_views(
         frame = render_window(mesh, Pose(x, y, *attitude), sonar, window, quality)
         return frame.semantic(), frame.overflow
 
-    images, overflow = jax.lax.map(one, jnp.asarray(attitudes))
+    images, overflow = one_by_one(one, jnp.asarray(attitudes))
     return BankViews(images, (window.row, window.column), overflow.max())
 
 
@@ -211,4 +213,4 @@ def bank_place(bank: TemplateBank, sonar: Sonar) -> tuple[float, float]:
     return float(np.hypot(bank.ground_range, float(sonar.height))), float(_image_azimuth(bank.x, bank.y, sonar))
 
 
-_image_azimuth = jax.jit(image_azimuth)
+_image_azimuth = exact_jit(image_azimuth)

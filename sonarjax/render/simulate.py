@@ -4,19 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from sonarjax.exact import exact_jit
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.render.frame import RenderQuality, SonarFrame, Window
 from sonarjax.render.window import render_window
 from sonarjax.scene import Mesh, Pose
 from sonarjax.scene.limits import check_pose
 from sonarjax.sonar import Sonar
+
+AT_ONCE = 64
+"""Items that an accelerator computes at once."""
 
 
 def render(
@@ -67,7 +70,7 @@ def with_enough_room(rendered: Callable[[Mesh], Any], mesh: Mesh) -> Any:
     return found
 
 
-@partial(jax.jit, static_argnames="quality")
+@exact_jit(static_argnames="quality")
 def _render(mesh: Mesh, pose: Pose, sonar: Sonar, quality: RenderQuality) -> SonarFrame:
     window = Window(0, 0, sonar.shape)
     batch = jnp.broadcast_shapes(pose.shape, mesh.closed.shape)
@@ -85,9 +88,11 @@ def _render(mesh: Mesh, pose: Pose, sonar: Sonar, quality: RenderQuality) -> Son
 
 
 def one_by_one(function: Callable[[Any], Any], items: Any) -> Any:
-    """Compute `jax.vmap(function)(items)`; on a CPU one item at a time, because a batch would not fit the caches."""
+    """Compute `jax.vmap(function)(items)`; on a CPU one item at a time, because a batch would not fit the caches, and
+    on an accelerator `AT_ONCE`, so that many do not fill its memory.
+    """
     count = len(jax.tree.leaves(items)[0])
-    return jax.lax.map(function, items, batch_size=None if jax.default_backend() == "cpu" else count)
+    return jax.lax.map(function, items, batch_size=None if jax.default_backend() == "cpu" else min(count, AT_ONCE))
 
 
 def place_together(meshes: Sequence[Mesh], poses: Pose | Sequence[Pose]) -> tuple[Mesh, Pose]:

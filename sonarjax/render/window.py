@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
+from sonarjax.exact import full_precision
 from sonarjax.render.candidates import candidates, front_faces
 from sonarjax.render.energy import floor_energy, floor_lit, object_energy
 from sonarjax.render.frame import RenderQuality, SonarFrame, Window
@@ -114,6 +115,7 @@ def find_visible(
     return VisibleProfile(intervals, segments, table, spans, overflow)
 
 
+@full_precision
 def render_window(mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, quality: RenderQuality) -> SonarFrame:
     """Render one window of the image: slabs → candidates → visible intervals → spans → rasterise.
 
@@ -130,6 +132,7 @@ def render_window(mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, quality:
     return _frame_of(seen, _shares(seen), _echo(seen, mesh, quality), window)
 
 
+@full_precision
 def render_afloat(mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, quality: RenderQuality) -> SonarFrame:
     """As `render_window` for an object without a floor in view: no floor energy, and no shadow."""
     seen = _look(mesh, None, pose, sonar, window, quality)
@@ -147,6 +150,7 @@ class ObjectLayers(NamedTuple):
     """As in `SonarFrame`, for floor that this object is the first to hide."""
 
 
+@full_precision
 def render_objects(
     mesh: Mesh, objects: Objects, pose: Pose, sonar: Sonar, window: Window, quality: RenderQuality,
     apart: Bool[Array, ""] | bool,

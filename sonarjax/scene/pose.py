@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from sonarjax.exact import full_precision
 from sonarjax.records import record
 
 Scalar = Any  # a Python float, a NumPy scalar or a JAX array of any batch shape
@@ -59,10 +60,12 @@ class Pose:
         """Shape `*batch` of every field."""
         return tuple(self.x.shape)
 
+    @full_precision
     def to_ground(self, vertices: Float[Array, "vertex 3"]) -> Float[Array, "vertex 3"]:
         """Move vertices (vertex, 3) [m] from the mesh frame to the ground frame; for a single pose."""
         return vertices @ self.rotation().T + jnp.stack([self.x, self.y, self.z])
 
+    @full_precision
     def rotation(self) -> Float[Array, "3 3"]:
         """Rotation matrix (3, 3) from the mesh frame to the ground frame; for a single pose."""
         return rotation_z(self.yaw) @ rotation_y(self.pitch) @ rotation_x(self.roll)

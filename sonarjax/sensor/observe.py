@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from sonarjax.exact import exact_jit, full_precision
 from sonarjax.render import RenderQuality, SonarFrame, render
 from sonarjax.render.simulate import place_together, with_enough_room
 from sonarjax.scene import Mesh, Pose
@@ -54,6 +54,7 @@ from sonarjax.sensor.speckle import (
 from sonarjax.sonar import Sonar
 
 
+@full_precision
 def observe(
     frame: SonarFrame,
     model: SensorModel,
@@ -96,6 +97,7 @@ def _with_oddities(energy: Array, sonar: Sonar, model: SensorModel, *, key: jax.
     return energy + other_pings(sonar.shape, model.other_pings, key=pings)
 
 
+@full_precision
 def received_energy(
     frame: SonarFrame, model: SensorModel, bounces: SonarFrame | None = None
 ) -> Float[Array, "range beam"]:
@@ -185,7 +187,7 @@ class _Observed(NamedTuple):
     """As in `SonarFrame`; the largest of all renders."""
 
 
-@partial(jax.jit, static_argnames="quality")
+@exact_jit(static_argnames="quality")
 def _observe_scene(
     mesh: Mesh, pose: Pose, sonar: Sonar, model: SensorModel, key: jax.Array, quality: RenderQuality
 ) -> _Observed:

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from sonarjax.exact import exact_jit
 from sonarjax.records import record
 from sonarjax.track.motion import Motion, TrackConfig, Turning
 from sonarjax.track.reduce import Mixture, reduced, wrapped
@@ -260,7 +261,7 @@ def _first(pose: Array, std: Array, sonar: Array, numbers: Numbers) -> tuple[Arr
     return jnp.zeros(STATES).at[:3].set(to_common(pose, sonar)), whole
 
 
-@jax.jit
+@exact_jit
 def run_filter(belief: Belief, measurements: Measurement, numbers: Numbers) -> Belief:
     """The beliefs (frame, component) after each of the `measurements` (frame, hypothesis), one step for each."""
 
@@ -271,5 +272,5 @@ def run_filter(belief: Belief, measurements: Measurement, numbers: Numbers) -> B
     return jax.lax.scan(one, belief, measurements)[1]
 
 
-next_belief = jax.jit(step)
+next_belief = exact_jit(step)
 """`step`, compiled."""

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from sonarjax.exact import exact_jit
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.recognition import Recognition
 from sonarjax.recognize import Recognizer
@@ -176,7 +177,7 @@ class Tracker:
         return [in_view(Pose(mode.x, mode.y, mode.yaw), at) for mode in known]
 
 
-_predict = jax.jit(predicted)
+_predict = exact_jit(predicted)
 
 
 def track(

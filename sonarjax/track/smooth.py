@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from sonarjax.exact import exact_jit
 from sonarjax.track.belief import RATE, STATES, YAW, Belief, Numbers, predicted
 from sonarjax.track.reduce import wrapped
 
@@ -24,7 +25,7 @@ LEAST_VARIANCE = 1e-10
 """Also added to that diagonal [rad², m²]."""
 
 
-@jax.jit
+@exact_jit
 def run_smoother(beliefs: Belief, numbers: Numbers) -> Belief:
     """Smooth the beliefs (frame, component) of a filter: afterwards each component is one complete history.
 

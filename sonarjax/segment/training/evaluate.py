@@ -29,7 +29,7 @@ def predict_all(config: GanConfig, weights: Any, pairs: Stored) -> np.ndarray:
     """`predict` for any number of pairs, a few at a time: semantic maps (pair, 128, 128)."""
     count = len(pairs.image)
     rows = np.minimum(np.arange(-(-count // AT_ONCE) * AT_ONCE), count - 1).reshape(-1, AT_ONCE)
-    weights = jax.device_get(weights)  # on a device, their placement would be part of the compiled code
+    weights = jax.tree.map(jnp.asarray, jax.device_get(weights))  # a mesh's placement would be compiled into the code
     parts = [predict(config, weights, jnp.asarray(pairs.image[r] / np.float32(255))) for r in rows]
     return np.concatenate([np.asarray(part) for part in parts])[:count]
 

@@ -153,7 +153,7 @@ class _Run:
             epoch = self.step // self.recipe.epoch_steps
             values = {f"loss_{name}": value for name, value in self.losses.items()}
             journal.epoch(epoch, self.step, values | self.metrics, contact_sheet(grey, self.validation))
-        if stop or self._due(self.recipe.checkpoint_steps):
+        if stop or self.step % self.recipe.checkpoint_steps == 0 or self.step == self.recipe.steps:
             self._look_at(losses)  # so that no diverged state is kept, however rarely losses are logged
             if not _all_finite(local_copy(self.state)):
                 raise self._diverged("a weight is not finite")

@@ -1,0 +1,33 @@
+"""Products of matrices in full float32, on every device.
+
+GPUs and TPUs multiply float32 matrices after rounding their entries to 10 bits or fewer, unless told otherwise
+(`jax.default_matmul_precision`). That suits networks, but it moves a point 5 m away by millimetres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import wraps
+from typing import Any, TypeVar
+
+import jax
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def full_precision(function: F) -> F:
+    """Make `function` multiply matrices in full float32, and so what JAX derives from it."""
+
+    @wraps(function)
+    def exact(*args: Any, **kwargs: Any) -> Any:
+        with jax.default_matmul_precision("highest"):
+            return function(*args, **kwargs)
+
+    return exact  # type: ignore[return-value]
+
+
+def exact_jit(function: Callable[..., Any] | None = None, **options: Any) -> Any:
+    """`jax.jit` of `full_precision(function)`; a decorator, with or without the options of `jax.jit`."""
+    if function is None:
+        return lambda f: jax.jit(full_precision(f), **options)
+    return jax.jit(full_precision(function), **options)
