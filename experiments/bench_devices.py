@@ -2,20 +2,21 @@
 
 python -m experiments.bench_devices [--preset smoke] [--help]
 
-Each side runs in a process of its own, one after the other on one machine: the CPU on all cores, set up as `recognize`
-sets it up, and JAX's own choice of device. Compilation is not counted. Where JAX finds no accelerator, the table
-says so and has the CPU alone. The last column is how far the results of the two sides are apart.
+One side after the other on one machine, in processes of their own: JAX's own choice of device, then the CPU on all
+cores, set up as `recognize` sets it up. Compilation is not counted. Where JAX finds no accelerator, the table says so
+and has the CPU alone. The last column is how far the results of the two sides are apart.
 """
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -28,7 +29,7 @@ from experiments.common.runs import ROOT, Job
 from sonarjax.io import SonarjaxError
 
 CPU, ACCELERATOR = "cpu", "accelerator"
-SIDE = "from experiments import bench_devices; bench_devices.one_side()"  # what a process of one side runs
+SIDE = "from experiments import bench_devices; bench_devices.one_part()"  # what a process of one side runs
 SMOKE = {"views": 12, "batch": 2, "images": 2, "pairs": 8, "widths": (4,), "repeats": 1}
 
 Work = tuple[str, int, Callable[[], Any]]
@@ -51,7 +52,7 @@ class Settings:
     """Channels of the first layer of the networks."""
     repeats: int = 5
     """Calls of each; the fastest counts."""
-    sides: tuple[Literal["cpu", "accelerator"], ...] = (CPU, ACCELERATOR)
+    sides: tuple[Literal["accelerator", "cpu"], ...] = (ACCELERATOR, CPU)
     """Which sides are timed."""
 
 
@@ -121,64 +122,80 @@ def networks(settings: Settings) -> Iterator[Work]:
         yield f"an image of a training step, width {width}", settings.images, step
 
 
-PARTS = (rendering, refinement, networks)
+PARTS = {"networks": networks, "rendering": rendering, "refinement": refinement}
 
 
-def one_side() -> None:
-    """What a process that `measured` starts does: a line of JSON for each work, and the results in a file."""
+def one_part() -> None:
+    """What a process that `measured` starts does: a line of JSON for each work, and its results, in a folder.
+
+    Only one process at a time times something; the others of its side compile meanwhile.
+    """
     import jax
 
     from sonarjax.cpu import keep_memory, tune
 
-    settings, folder = Settings(**json.loads(sys.argv[1])), Path(sys.argv[2])
+    settings, part, folder = Settings(**json.loads(sys.argv[1])), sys.argv[2], Path(sys.argv[3])
     if jax.default_backend() == "cpu":
         tune()
         keep_memory()
-    print(json.dumps({"device": jax.devices()[0].device_kind, "backend": jax.default_backend()}), flush=True)
-    for number, (what, count, call) in enumerate(work for part in PARTS for work in part(settings)):
-        result, seconds = call(), []
-        for _ in range(settings.repeats):
-            started = time.perf_counter()
-            result = call()
-            seconds.append(time.perf_counter() - started)
-        if result is not None:
-            np.save(folder / f"{number}.npy", result)
-        print(json.dumps({"what": what, "milliseconds": 1e3 * min(seconds) / count}), flush=True)
+    with open(folder / f"{part}.jsonl", "w", encoding="utf-8") as lines, open(folder / "lock", "a") as lock:
+        print(json.dumps({"device": jax.devices()[0].device_kind, "backend": jax.default_backend()}), file=lines)
+        for number, (what, count, call) in enumerate(PARTS[part](settings)):
+            result, seconds = call(), []
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            for _ in range(settings.repeats):
+                started = time.perf_counter()
+                result = call()
+                seconds.append(time.perf_counter() - started)
+            fcntl.flock(lock, fcntl.LOCK_UN)
+            if result is not None:
+                np.save(folder / f"{part}{number}.npy", result)
+            row = {"what": what, "milliseconds": 1e3 * min(seconds) / count, "results": f"{part}{number}.npy"}
+            print(json.dumps(row), file=lines, flush=True)
 
 
-def measured(side: str, settings: Settings, folder: Path) -> list[dict[str, Any]]:
-    """The device, then one row for each work; results are left in `folder`. Raises SonarjaxError."""
-    folder.mkdir()
-    env = os.environ | ({"JAX_PLATFORMS": "cpu"} if side == CPU else {})
-    command = [sys.executable, "-c", SIDE, json.dumps(asdict(settings)), str(folder)]
-    done = subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise SonarjaxError(f"{side}: {done.stderr[-2000:]}")
-    return [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
+def measured(side: str, settings: Settings, folder: Path) -> tuple[dict[str, str], list[dict[str, Any]]]:
+    """The device, and one row for each work; results are left in `folder`. Raises SonarjaxError."""
+    folder.mkdir(parents=True, exist_ok=True)
+    env = os.environ | ({"JAX_PLATFORMS": "cpu"} if side == CPU else {"XLA_PYTHON_CLIENT_PREALLOCATE": "false"})
+
+    def measure(part: str) -> list[dict[str, Any]]:
+        command = [sys.executable, "-c", SIDE, json.dumps(asdict(settings)), part, str(folder)]
+        done = subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise SonarjaxError(f"{side}, {part}: {done.stderr[-2000:]}")
+        return [json.loads(line) for line in (folder / f"{part}.jsonl").read_text(encoding="utf-8").splitlines()]
+
+    # On a CPU, what is compiled would slow down what is timed.
+    with ThreadPoolExecutor(1 if side == CPU else len(PARTS)) as pool:
+        found = list(pool.map(measure, PARTS))
+    return found[0][0], [row for rows in found for row in rows[1:]]
 
 
 def run(settings: Settings, job: Job) -> Report:
     """Milliseconds of each item on both sides, and how far their results are apart."""
-    del job
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        found = {side: measured(side, settings, folder / side) for side in settings.sides}
-        if found.get(ACCELERATOR, [{}])[0].get("backend") == "cpu":
-            del found[ACCELERATOR]  # JAX has none
-        devices = {side: rows.pop(0)["device"] for side, rows in found.items()}
-        rows = [_row(k, found, folder) for k in range(len(next(iter(found.values()))))]
-    return {"rows": rows, "devices": devices, "cores": os.cpu_count(), "images": settings.images}
+    found = {side: measured(side, settings, job.folder / side) for side in settings.sides}
+    if found.get(ACCELERATOR, ({}, []))[0].get("backend") == "cpu":
+        del found[ACCELERATOR]  # JAX has none
+    rows = {side: rows for side, (_, rows) in found.items()}
+    return {
+        "rows": [_row(k, rows, job.folder) for k in range(len(next(iter(rows.values()))))],
+        "devices": {side: about["device"] for side, (about, _) in found.items()},
+        "cores": os.cpu_count(),
+        "images": settings.images,
+    }
 
 
 def _row(number: int, found: dict[str, list[dict[str, Any]]], folder: Path) -> dict[str, Any]:
+    first = next(iter(found.values()))[number]
     times = {side: rows[number]["milliseconds"] for side, rows in found.items()}
-    row = {"what": next(iter(found.values()))[number]["what"], **times}
-    files = [folder / side / f"{number}.npy" for side in (CPU, ACCELERATOR)]
+    row = {"what": first["what"], **times}
+    files = [folder / side / first["results"] for side in times]
     if len(times) == 2:
         row["ratio"] = times[CPU] / times[ACCELERATOR]
-    if all(file.exists() for file in files):
-        one, other = (np.load(file) for file in files)
-        row["apart"] = f"{np.median(abs(one - other)):.1e}, {abs(one - other).max():.1e}"
+        if all(file.exists() for file in files):
+            apart = abs(np.subtract(*(np.load(file) for file in files)))
+            row["apart"] = f"{np.median(apart):.1e}, {apart.max():.1e}"
     return row
 
 

@@ -24,10 +24,3 @@ def full_precision(function: F) -> F:
             return function(*args, **kwargs)
 
     return exact  # type: ignore[return-value]
-
-
-def exact_jit(function: Callable[..., Any] | None = None, **options: Any) -> Any:
-    """`jax.jit` of `full_precision(function)`; a decorator, with or without the options of `jax.jit`."""
-    if function is None:
-        return lambda f: jax.jit(full_precision(f), **options)
-    return jax.jit(full_precision(function), **options)

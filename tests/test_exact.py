@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from functools import partial
 from typing import Any
 
 import jax
@@ -13,7 +12,7 @@ import numpy as np
 import pytest
 
 import sonarjax as sj
-from sonarjax.exact import exact_jit, full_precision
+from sonarjax.exact import full_precision
 from sonarjax.scene.objects import brick
 from sonarjax.sensor import observe_scene
 
@@ -71,7 +70,6 @@ def test_the_search_finds_a_product_that_is_rounded() -> None:
     square = np.ones((3, 3), np.float32)
     assert rounded(jax.jit(lambda a: jax.lax.map(lambda b: b @ b, a[None])), square)[1]
     assert rounded(full_precision(lambda a: a @ a), square) == (1, [])
-    assert rounded(partial(exact_jit(lambda a, n: a @ a + n, static_argnames="n"), n=1), square) == (1, [])
 
 
 def test_the_callers_choice_holds_outside() -> None:

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from sonarjax.calibrate.look import LEAST_EXPONENT, Look
+from sonarjax.exact import full_precision
 from sonarjax.refine.objective import BEAMS_PER_BIN
 from sonarjax.refine.template import VIEWS, Subject, nominal_law, render_layers
 from sonarjax.render import RenderQuality, Window, WindowSize, floor_angle
@@ -74,6 +75,7 @@ def stored(energy: Float[Array, "*batch"], look: Look) -> Float[Array, "*batch"]
     return look.log_share * jnp.log(energy) + (1 - look.log_share) * (energy**power - 1) / power
 
 
+@full_precision
 def _received(
     sonar: Sonar, look: Look, layers: Float[Array, "view layer range column"], bounce: Float[Array, ""],
     column: Int[Array, ""], reference: Any,
@@ -122,6 +124,7 @@ def clipped(energy: Float[Array, "*batch"], dark: Any, white: Any) -> Float[Arra
     return (raised**-CORNER + white**-CORNER) ** (-1 / CORNER)
 
 
+@full_precision
 def floor_elevation(sonar: Sonar, ranges: Float[Array, "range"]) -> Float[Array, "range beam"]:
     """Elevation [rad] in the sonar frame of the floor that each pixel (range, beam) shows, roll included.
 
@@ -144,6 +147,7 @@ class Sampling(NamedTuple):
     across: Float[Array | np.ndarray, "column beam"]
     """Blur along azimuth; rows sum to 1."""
 
+    @full_precision
     def __call__(self, image: Float[Array | np.ndarray, "range beam"]) -> Any:
         """The blurred image (row, column) at every few pixels of `image` (range, beam)."""
         return self.along @ image @ self.across.T
@@ -178,6 +182,7 @@ UNEVEN_STD = 0.02
 """Standard deviation of the prior of each slow change of brightness over a frame [of the grey scale]."""
 
 
+@full_precision
 def fitted(
     drawn: Float[Array, "row column"], seen: Float[Array, "row column"], weight: Float[Array, "row column"]
 ) -> Float[Array, "row column"]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -18,7 +19,7 @@ from jaxtyping import Array, Float
 from sonarjax.calibrate.look import LOOK, LOOK_STD, LOOK_TRUST, Look
 from sonarjax.calibrate.parameters import PARAMETERS, SIZES, changed_mesh, changed_sonar
 from sonarjax.calibrate.picture import Sampling, fitted, measured_mean, object_layers, picture
-from sonarjax.exact import exact_jit
+from sonarjax.exact import full_precision
 from sonarjax.records import record
 from sonarjax.refine.template import POSE
 from sonarjax.render import WindowSize
@@ -121,7 +122,8 @@ class Fit:
     """True if the last step was small."""
 
 
-@exact_jit(static_argnames=("free", "size"))
+@partial(jax.jit, static_argnames=("free", "size"))
+@full_precision
 def linearise(
     seen: Observation, mesh: Mesh, sonar: Sonar, shared: Array, own: Array, sampling: Sampling, std: Array,
     reference: Array, *, free: tuple[str, ...], size: WindowSize,

@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float
 
 from sonarjax.data.draws import Stream
 from sonarjax.data.shapes import MOST_BOXES, box_vertices
+from sonarjax.exact import full_precision
 from sonarjax.scene.objects import BRICK_M
 from sonarjax.scene.pose import rotation_x, rotation_y, rotation_z
 
@@ -75,6 +76,7 @@ def _next_yaw(previous: Array, stream: Stream) -> Array:
     return stream.sometimes(0.5, aligned, stream.between(0.0, 2 * math.pi))
 
 
+@full_precision
 def _turned(size: Float[Array, "3"], yaw: Array, leans: Array, stream: Stream) -> Float[Array, "8 3"]:
     """Corners (8, 3) [m] of a box at `yaw` [rad], with its lowest point at z = 0 and its middle above the origin."""
     size = size[jnp.asarray(_AXES)[stream.pick(STANDING_SHARES)]]
@@ -84,6 +86,7 @@ def _turned(size: Float[Array, "3"], yaw: Array, leans: Array, stream: Stream) -
     return corners.at[:, 2].add(-corners[:, 2].min())
 
 
+@full_precision
 def _place(
     own: Float[Array, "8 3"], there: Float[Array, "box 8 3"], on_floor: Bool[Array, ""], scattered: Array,
     stream: Stream,

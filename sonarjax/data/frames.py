@@ -6,6 +6,7 @@ A jitted function computes them from a key and the frames' numbers.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -16,7 +17,6 @@ from jaxtyping import Array, Float, UInt8
 
 from sonarjax.data.layout import Limits, draw_layout, join_layout, touched_beams
 from sonarjax.engine import Engine
-from sonarjax.exact import exact_jit
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.render import RenderQuality, Window
 from sonarjax.render.window import render_objects
@@ -134,7 +134,7 @@ def draw_chunk(
     return found
 
 
-@exact_jit(static_argnames=("settings", "room", "columns"))
+@partial(jax.jit, static_argnames=("settings", "room", "columns"))
 def _draw_frames(
     meshes: Mesh, sonar: Sonar, limits: Array, key: Array, numbers: Array, settings: FrameSettings, room: int,
     columns: int | None,

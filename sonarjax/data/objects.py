@@ -22,6 +22,7 @@ from sonarjax.data.shapes import (
     round_vertices,
 )
 from sonarjax.data.tubes import draw_tube
+from sonarjax.exact import full_precision
 from sonarjax.scene.pose import rotation_y, rotation_z
 
 KIND_SHARES = (0.44, 0.14, 0.07, 0.35)
@@ -55,6 +56,7 @@ def draw_shape(*, key: Array) -> Shape:
     return Shape(kind, jnp.where(stream.happens(NOTHING_SHARE), 0.0, vertices))
 
 
+@full_precision
 def _draw_round(kind: Array, stream: Stream) -> Float[Array, "vertex 3"]:
     """A ball, or a cylinder that stands upright, lies or leans; its lowest point is at z = 0."""
     radius, length = stream.log_between(0.025, 0.15), stream.log_between(0.05, 0.4)

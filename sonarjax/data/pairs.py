@@ -24,7 +24,7 @@ from sonarjax.data.shapes import N_FACES, remove_walls, shape_mesh
 from sonarjax.data.tank_views import draw_tank_view
 from sonarjax.data.views import draw_view
 from sonarjax.engine import PLAIN, Engine
-from sonarjax.exact import exact_jit
+from sonarjax.exact import full_precision
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.records import record
 from sonarjax.render import RenderQuality
@@ -124,7 +124,7 @@ def paper_pairs(run_seed: int, settings: PairSettings = PAPER_SETTINGS) -> Pairs
     return make_pairs(PAPER_PAIRS, settings, key=split_key(run_seed, "train"))
 
 
-@exact_jit(static_argnames=("size", "settings"))
+@partial(jax.jit, static_argnames=("size", "settings"))
 def _chunk(key: Array, start: Array, size: int, settings: PairSettings) -> Pairs:
     numbers = start + jnp.arange(size, dtype=jnp.uint32)
     at_once = None if jax.default_backend() == "cpu" else size
@@ -155,6 +155,7 @@ def draw_pair(settings: PairSettings, *, key: Array) -> Pairs:
     return Pairs(patch, cut_labels(alone.highlight, alone.shadow, box))
 
 
+@full_precision
 def _resampled(image: Array, share: float, *, key: Array) -> Array:
     """Smooth an image (range, beam), with probability `share`, as if it was converted to a fan picture and back."""
     happens, width = jax.random.uniform(key, (3,))[0] < share, SMOOTHING * jax.random.uniform(key, (3,))[1:]

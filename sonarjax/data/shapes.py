@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from sonarjax.exact import full_precision
 from sonarjax.scene import Mesh
 from sonarjax.scene.objects import box, cylinder_arrays, join
 
@@ -98,6 +99,7 @@ _CREASES = np.stack([_TOPS, np.arange(0, 2 * SIDES, 2 * SIDES // N_CREASES), [0]
 )
 
 
+@full_precision
 def box_vertices(
     size: Float[Array, "box 3"], rotation: Float[Array, "box 3 3"], center: Float[Array, "box 3"]
 ) -> Float[Array, "box 8 3"]:

@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 
 from sonarjax.data.draws import Stream
 from sonarjax.data.shapes import RING_SIDES, RINGS, tube_vertices
+from sonarjax.exact import full_precision
 from sonarjax.scene.pose import rotation_x, rotation_y, rotation_z
 
 KINDS = ("revolution", "outline", "lump", "bent")
@@ -25,6 +26,7 @@ CLOSED_SHARE = 0.5
 NUMBERS = 48  # random numbers that a tube takes from its stream
 
 
+@full_precision
 def draw_tube(*, key: Array) -> Float[Array, "vertex 3"]:
     """Draw the vertices (vertex, 3) [m], for `shape_mesh`, of a random tube around the origin whose lowest
     point is at z = 0.
@@ -55,6 +57,7 @@ def _straight(kind: Array, stream: Stream) -> Float[Array, "vertex 3"]:
     return tube_vertices(path, across, up, radius * profile[:, None] * sides)
 
 
+@full_precision
 def _bent(stream: Stream) -> Float[Array, "vertex 3"]:
     """A pipe along an arc around z, open or closed to a torus."""
     bend = stream.log_between(*BENDS_M)

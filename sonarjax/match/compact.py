@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt8
 
-from sonarjax.exact import exact_jit
 from sonarjax.match.masked import NEAR_CONSTANT
 from sonarjax.match.ncc import MatchPositions, best_position, per_template
 from sonarjax.match.spectra import ROUNDING, correlate, frame_spectrum, over_chunks, pack, unit_templates
@@ -79,7 +79,7 @@ def window_scale(centred: np.ndarray, window: tuple[int, int]) -> np.ndarray:
     return scale.astype(np.float32)
 
 
-@exact_jit
+@jax.jit
 def _match(image: Array, scale: Array, levels: Array, height: Array, width: Array) -> MatchPositions:
     rows, columns = jnp.arange(levels.shape[1]), jnp.arange(levels.shape[2])
     inside = ((rows < height)[:, None] & (columns < width)[None, :]).astype(jnp.float32)

@@ -5,6 +5,7 @@ Takes scores (yaw,) and yaws (yaw,) [rad], and returns frozen records. Everythin
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -12,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from sonarjax.exact import exact_jit
 from sonarjax.records import record
 
 
@@ -53,7 +53,7 @@ def decide(scores: Float[Array, " yaw"], yaws: Float[Array, " yaw"], threshold: 
     return Decision(scores[best] >= threshold, scores[best], best, yaws[best])
 
 
-@exact_jit(static_argnames="max_peaks")
+@partial(jax.jit, static_argnames="max_peaks")
 def peaks(
     scores: Float[Array, " yaw"],
     yaws: Float[Array, " yaw"],

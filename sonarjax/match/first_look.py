@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -16,7 +17,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from sonarjax.exact import exact_jit
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.match.compact import CompactBank, centred_on_host, window_scale
 from sonarjax.match.low_rank import Factors, combined, factors
@@ -238,12 +238,12 @@ def _make_unit(templates: np.ndarray) -> None:
         one *= 1 / norm if norm > 1e-5 else 0.0
 
 
-@exact_jit(static_argnums=1)
+@partial(jax.jit, static_argnums=1)
 def _planes(components: Array, canvas: tuple[int, int]) -> Array:
     return pack(components, canvas)
 
 
-@exact_jit
+@jax.jit
 def _look(canvas: Array, scale: Array, planes: Array, coefficients: Array) -> MatchPositions:
     """The best window of each template on `canvas`; `scale` (row, col) is 1/norm of the window at each corner."""
     frame, shape = frame_spectrum(canvas), (scale.shape[0], scale.shape[1])

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from sonarjax.exact import exact_jit
+from sonarjax.exact import full_precision
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.match.masked import NEAR_CONSTANT
 from sonarjax.match.ncc import AnyArray, MatchPositions, PreparedBank, correlation_maps, prepare_bank
@@ -118,11 +118,12 @@ def match_low_rank(image: Float[AnyArray, "range beam"], low_rank: LowRankBank) 
     return _match(image, low_rank)
 
 
-@exact_jit
+@jax.jit
 def _match(image: Array, low_rank: LowRankBank) -> MatchPositions:
     return combined(correlation_maps(image, low_rank.components), low_rank.coefficients)
 
 
+@full_precision
 def combined(
     maps: Float[Array, "component row col"], coefficients: Float[Array, "template component"]
 ) -> MatchPositions:
@@ -171,7 +172,7 @@ def scores_at(image: Float[AnyArray, "range beam"], bank: Any, places: MatchPosi
     return _scores_at(image, templates, places)
 
 
-@exact_jit
+@jax.jit
 def _scores_at(image: Array, templates: Array, places: MatchPositions) -> Array:
     centred = centred_frame(image)
     floor = NEAR_CONSTANT * jnp.sum(jnp.square(centred))

@@ -8,6 +8,7 @@ must be finite where they were measured. For a batch of frames use `jax.vmap`.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -15,7 +16,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from sonarjax.exact import exact_jit
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.match.masked import MIN_VALID, NEAR_CONSTANT, masked_frame, masked_maps, weighted_frame, weighted_maps
 from sonarjax.match.spectra import (
@@ -172,12 +172,12 @@ def _as_mask(name: str, mask: Any, shape: tuple[int, ...]) -> Array:
     return mask.astype(bool)
 
 
-@exact_jit(static_argnums=(1, 2))
+@partial(jax.jit, static_argnums=(1, 2))
 def _spectra(templates: Array, image_shape: tuple[int, int], masked: bool) -> TemplateSpectra:
     return template_spectra(templates, image_shape, masked=masked)
 
 
-@exact_jit(static_argnums=2)
+@partial(jax.jit, static_argnums=2)
 def _match_plain(image: Array, spectra: TemplateSpectra, reduce: Callable[..., Any]) -> Any:
     centred = centred_frame(image)
     energy = window_moments(centred, spectra.template_shape).energy
@@ -191,7 +191,7 @@ def _match_plain(image: Array, spectra: TemplateSpectra, reduce: Callable[..., A
     return per_template(over_chunks(chunk, spectra.planes), spectra.yaw_count)
 
 
-@exact_jit(static_argnums=(4, 5))
+@partial(jax.jit, static_argnums=(4, 5))
 def _match_masked(
     image: Array, spectra: TemplateSpectra, mask: Array, min_valid: Any, reduce: Callable, whole: bool
 ) -> Any:
@@ -203,7 +203,7 @@ def _match_masked(
     return per_template(over_chunks(chunk, (spectra.planes, spectra.squares, spectra.echoes)), spectra.yaw_count)
 
 
-@exact_jit(static_argnums=5)
+@partial(jax.jit, static_argnums=5)
 def _match_weighted(
     image: Array, templates: Array, mask: Array, template_mask: Array, min_valid: Any, reduce: Callable
 ) -> Any:

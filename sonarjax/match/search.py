@@ -15,7 +15,6 @@ import jax
 import numpy as np
 
 from sonarjax.engine import PLAIN, Engine
-from sonarjax.exact import exact_jit
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.match.compact import CompactBank, match_compact
 from sonarjax.match.ncc import PreparedBank, match_positions, prepare_bank
@@ -233,7 +232,7 @@ def decimated(image: np.ndarray, step: int) -> np.ndarray:
     return groups.mean(axis=-2)
 
 
-_floor_point = exact_jit(floor_point)
+_floor_point = jax.jit(floor_point)
 
 
 def _bank_window(mesh: Mesh, sonar: Sonar, nearest: float) -> WindowSize:

@@ -7,10 +7,10 @@ lacks.
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sonarjax.exact import exact_jit
 from sonarjax.records import record
 from sonarjax.refine.objective import ROW_STRIDE, Blur, box_around, make_blur, normalised
 from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS
@@ -39,7 +39,7 @@ class Evidence:
     """Share of the frame's standard deviation, blurred by `COARSE`, that the template does not explain."""
 
 
-@exact_jit
+@jax.jit
 def gather_evidence(
     frame: Float[Array, "range beam"], semantic: Float[Array, "range beam"], measured: Float[Array, "range beam"],
     template: Float[Array, "range beam"], labels: Float[Array, "range beam"],

@@ -14,7 +14,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sonarjax.engine import PLAIN, Engine
-from sonarjax.exact import exact_jit
 from sonarjax.match import LeanSearch, LeanSearchConfig, SearchConfig, TargetSearch
 from sonarjax.refine.config import RefineConfig
 from sonarjax.refine.free import ALL, check_free
@@ -180,7 +179,7 @@ def distinct(estimate: PoseEstimate, apart: float, most: int) -> np.ndarray:
     return np.asarray(chosen)
 
 
-@exact_jit
+@jax.jit
 def _rotations(poses: Pose) -> Float[Array, "hypothesis 3 3"]:
     return jax.vmap(Pose.rotation)(poses)
 

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from sonarjax.exact import full_precision
 from sonarjax.refine.template import Subject, draw
 
 SMALL = 1e-9
@@ -39,6 +40,7 @@ class Blur(NamedTuple):
     across: Float[Array, "beam beam"]
     """Blur along azimuth."""
 
+    @full_precision
     def __call__(self, image: Float[Array, "*batch range beam"]) -> Float[Array, "*batch row beam"]:
         """Blur `image` (range, beam); give every ROW_STRIDE-th row (row, beam)."""
         return self.along @ image @ self.across.T

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -13,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from sonarjax.engine import PLAIN, Engine
-from sonarjax.exact import exact_jit
+from sonarjax.exact import full_precision
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.records import record, static
 from sonarjax.refine.config import SLACK_M, RefineConfig
@@ -271,7 +272,7 @@ def _settings(config: RefineConfig, free: tuple[str, ...]) -> tuple[Any, ...]:
     return search, np.float32(config.sharpness), np.int32(VIEWS[config.template]), margin
 
 
-@exact_jit(static_argnames=("size", "quality", "polished", "free", "hold"))
+@partial(jax.jit, static_argnames=("size", "quality", "polished", "free", "hold"))
 def _refine_all(
     images: Array, weights: Array, mesh: Mesh, sonar: Sonar, starts: Pose, *settings: Any, **static: Any
 ) -> tuple[PoseEstimate, Drawn]:
@@ -280,7 +281,8 @@ def _refine_all(
     return one_by_one(lambda job: _refine(*job[:2], mesh, sonar, job[2], *settings, **static), jobs)
 
 
-@exact_jit(static_argnames=("size", "quality", "polished", "free", "hold"))
+@partial(jax.jit, static_argnames=("size", "quality", "polished", "free", "hold"))
+@full_precision  # jaxopt's products too
 def _refine(
     image: Array, weight: Array, mesh: Mesh, sonar: Sonar, start: Pose, search: Search, sharpness: Array, views: Array,
     margin: Array, *, size: WindowSize, quality: RenderQuality, polished: bool, free: tuple[str, ...],

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from sonarjax.exact import full_precision
 from sonarjax.records import record, static
 from sonarjax.refine.free import FLOOR_PATHS, ON_FLOOR, pose_at
 from sonarjax.render import RenderQuality, Window, floor_angle, render_echo, semantic_image
@@ -171,6 +172,7 @@ def render_layers(
     return jax.lax.fori_loop(0, jnp.minimum(subject.views, count), add, nothing)
 
 
+@full_precision
 def paint(
     subject: Subject, layers: Float[Array, "view layer range beam"], bounces: Float[Array, "bounce"]
 ) -> Float[Array, "range beam"]:

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from sonarjax.exact import full_precision
 from sonarjax.refine.objective import normalised
 from sonarjax.refine.solver import Found
 
@@ -43,6 +44,7 @@ class Observability(NamedTuple):
     """Singular values of what the frames say about the pose's numbers, in units of their priors, largest first."""
 
 
+@full_precision
 def normal_equations(
     image: Float[Array, "range beam"], weight: Float[Array, "range beam"], found: Found
 ) -> Normal:  # fmt: skip
@@ -66,6 +68,7 @@ def normal_equations(
     return Normal(information, by_beam @ together @ by_beam.T)
 
 
+@full_precision
 def error_covariance(
     normal: Normal, prior: Float[Array, "step"], held: Bool[Array, "step"], known: Bool[Array, ""]
 ) -> Float[Array, "step step"]:
@@ -94,6 +97,7 @@ def error_covariance(
     return jnp.where(jnp.eye(size, dtype=bool), jnp.where(known, jnp.maximum(variance, 0.0), jnp.inf), off)
 
 
+@full_precision
 def observability(normal: Normal, prior: Float[Array, "step"], known: Bool[Array, ""], count: int) -> Observability:
     """Which numbers are determined, from the information in units of the `prior` (step,), standard deviations.
 

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sonarjax.engine import Engine
-from sonarjax.exact import exact_jit
+from sonarjax.exact import full_precision
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.refine.config import SLACK_M, RefineConfig
 from sonarjax.refine.free import ALL, BOUNCES, trusts
@@ -93,7 +93,8 @@ class Joint(NamedTuple):
     """Singular values of what they say (free,), largest first."""
 
 
-@exact_jit(static_argnames=("size", "quality"))
+@partial(jax.jit, static_argnames=("size", "quality"))
+@full_precision
 def linearise(
     image: Array, weight: Array, mesh: Mesh, sonar: Sonar, place: Pose, room: tuple[Array, Array, Array], pose: Pose,
     bounces: Array, sigma: Array, sharpness: Array, margin: Array, fixed: tuple[Any, ...], fresh: Array, *,

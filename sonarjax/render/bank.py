@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -11,7 +12,6 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from sonarjax.engine import PLAIN, Engine
-from sonarjax.exact import exact_jit
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.records import record
 from sonarjax.render.frame import RenderQuality
@@ -184,7 +184,7 @@ def _all_views(
     return with_enough_room(render_part, mesh)
 
 
-@exact_jit(static_argnames=("size", "quality"))
+@partial(jax.jit, static_argnames=("size", "quality"))
 def _render_views(
     mesh: Mesh, sonar: Sonar, attitudes: Array, x: Any, y: Any, *, size: WindowSize, quality: RenderQuality
 ) -> BankViews:
@@ -213,4 +213,4 @@ def bank_place(bank: TemplateBank, sonar: Sonar) -> tuple[float, float]:
     return float(np.hypot(bank.ground_range, float(sonar.height))), float(_image_azimuth(bank.x, bank.y, sonar))
 
 
-_image_azimuth = exact_jit(image_azimuth)
+_image_azimuth = jax.jit(image_azimuth)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sonarjax.exact import exact_jit
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.render.frame import RenderQuality, SonarFrame, Window
 from sonarjax.render.window import render_window
@@ -70,7 +70,7 @@ def with_enough_room(rendered: Callable[[Mesh], Any], mesh: Mesh) -> Any:
     return found
 
 
-@exact_jit(static_argnames="quality")
+@partial(jax.jit, static_argnames="quality")
 def _render(mesh: Mesh, pose: Pose, sonar: Sonar, quality: RenderQuality) -> SonarFrame:
     window = Window(0, 0, sonar.shape)
     batch = jnp.broadcast_shapes(pose.shape, mesh.closed.shape)

@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from sonarjax.exact import full_precision
 from sonarjax.render.segments import (
     CROSSING,
     EDGE,
@@ -186,6 +187,7 @@ def _chain(member: Bool[Array, "slab interval"], starts: Bool[Array, "slab inter
     return member[..., None] & (number[..., None] == jnp.arange(items))
 
 
+@full_precision
 def _running_count(flags: Bool[Array, "slab interval"]) -> Int[Array, "slab interval"]:
     """How many flags are set up to each interval, as `cumsum`: a small product of matrices is far faster."""
     count = flags.shape[1]

@@ -59,6 +59,7 @@ class VisibleProfile(NamedTuple):
     """How many triangles the fullest slice had no room for."""
 
 
+@full_precision
 def in_sonar_frame(mesh: Mesh, pose: Pose, sonar: Sonar) -> Scene:
     """The mesh at `pose` seen from the sonar: vertices (vertex, 3) [m] in the sonar frame, aperture and floor."""
     rotation = rotation_y(sonar.tilt) @ rotation_x(sonar.roll)  # columns: the sonar's axes in the ground frame
@@ -115,7 +116,6 @@ def find_visible(
     return VisibleProfile(intervals, segments, table, spans, overflow)
 
 
-@full_precision
 def render_window(mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, quality: RenderQuality) -> SonarFrame:
     """Render one window of the image: slabs → candidates → visible intervals → spans → rasterise.
 
@@ -132,7 +132,6 @@ def render_window(mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, quality:
     return _frame_of(seen, _shares(seen), _echo(seen, mesh, quality), window)
 
 
-@full_precision
 def render_afloat(mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, quality: RenderQuality) -> SonarFrame:
     """As `render_window` for an object without a floor in view: no floor energy, and no shadow."""
     seen = _look(mesh, None, pose, sonar, window, quality)
@@ -150,7 +149,6 @@ class ObjectLayers(NamedTuple):
     """As in `SonarFrame`, for floor that this object is the first to hide."""
 
 
-@full_precision
 def render_objects(
     mesh: Mesh, objects: Objects, pose: Pose, sonar: Sonar, window: Window, quality: RenderQuality,
     apart: Bool[Array, ""] | bool,
@@ -311,6 +309,7 @@ def _columns(values: Float[Array, "beam"], first: Int[Array, ""] | int, count: i
     return jnp.take(values, first + jnp.arange(count), mode="clip")
 
 
+@full_precision
 def _per_beam(slabs: Slabs, values: Float[Array, "slab range"]) -> Float[Array, "range beam"]:
     return (slabs.weights @ values).T
 

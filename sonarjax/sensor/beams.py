@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from sonarjax.exact import full_precision
 from sonarjax.sonar import Sonar
 
 MINUS_3_DB = 0.8859
@@ -116,6 +117,7 @@ def dim_beams(n_beams: int, share: Any, loss_db: Any, *, key: jax.Array) -> Floa
     return jnp.where(dim, 10 ** (-jnp.asarray(loss_db, jnp.float32) / 10), 1.0)
 
 
+@full_precision
 def other_pings(shape: tuple[int, int], level: Any, *, key: jax.Array) -> Float[Array, "range beam"]:
     """Energy (range, beam) of another sonar's pings, heard at two ranges by a few neighbouring beams or by all of them.
 

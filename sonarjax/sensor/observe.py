@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sonarjax.exact import exact_jit, full_precision
+from sonarjax.exact import full_precision
 from sonarjax.render import RenderQuality, SonarFrame, render
 from sonarjax.render.simulate import place_together, with_enough_room
 from sonarjax.scene import Mesh, Pose
@@ -54,7 +55,6 @@ from sonarjax.sensor.speckle import (
 from sonarjax.sonar import Sonar
 
 
-@full_precision
 def observe(
     frame: SonarFrame,
     model: SensorModel,
@@ -187,7 +187,7 @@ class _Observed(NamedTuple):
     """As in `SonarFrame`; the largest of all renders."""
 
 
-@exact_jit(static_argnames="quality")
+@partial(jax.jit, static_argnames="quality")
 def _observe_scene(
     mesh: Mesh, pose: Pose, sonar: Sonar, model: SensorModel, key: jax.Array, quality: RenderQuality
 ) -> _Observed:

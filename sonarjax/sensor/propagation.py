@@ -11,6 +11,7 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from sonarjax.exact import full_precision
 from sonarjax.render import floor_angle
 from sonarjax.sonar import Sonar
 
@@ -153,6 +154,7 @@ def noise_floor(ranges: Float[Array, "*batch"], level: Any, range_max: Any) -> F
     return level * jnp.square(ranges / range_max)
 
 
+@full_precision
 def late_reverberation(
     image: Float[Array, "range beam"], share: Any, length: Any, range_bin: Any
 ) -> Float[Array, "range beam"]:

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from sonarjax.exact import full_precision
 from sonarjax.sonar import Sonar
 
 MAX_LOOKS = 4
@@ -56,6 +57,7 @@ def range_kernel(correlation: Any) -> Float[Array, "3"]:
     return jnp.stack([side, jnp.ones_like(side), side]) / jnp.sqrt(1 + 2 * side**2)
 
 
+@full_precision
 def correlate(
     field: Float[Array, "part range beam"],
     across: Float[Array, "beam source"],
@@ -145,6 +147,7 @@ def gamma_of_normal(normal: Float[Array, "*batch"], variance: Any) -> Float[Arra
     return jnp.maximum(1 - ninth + _safe_sqrt(ninth) * normal, 0.0) ** 3
 
 
+@full_precision
 def patchy_normal(shape: tuple[int, int], *, key: jax.Array) -> Float[Array, "range beam"]:
     """Draw a standard normal field (range, beam) that is interpolated between patches of the size `PATCH`.
 

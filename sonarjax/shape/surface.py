@@ -22,7 +22,6 @@ from jaxtyping import Array, Float
 from sonarjax.calibrate.calibration import check_frames
 from sonarjax.calibrate.solver import BOUNCE
 from sonarjax.engine import PLAIN, Engine
-from sonarjax.exact import exact_jit
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.refine.objective import Problem, box_around, make_blur, misfit
 from sonarjax.refine.solver import Search, best_template
@@ -220,7 +219,7 @@ def _problem(
     return Problem(part, measured, subject, jnp.array(MARGIN))
 
 
-@exact_jit(static_argnames="size")
+@partial(jax.jit, static_argnames="size")
 def _chosen(image: Array, mask: Array, pose: Pose, mesh: Mesh, sonar: Sonar, *, size: WindowSize) -> tuple[Array, ...]:
     """The numbers of the echo law that fits best, and the weight of each pixel of the window (range, beam), 1 or 0."""
     problem = _problem(image, mask, pose, nominal_law(), mesh, sonar, mesh, size)
@@ -231,7 +230,7 @@ def _chosen(image: Array, mask: Array, pose: Pose, mesh: Mesh, sonar: Sonar, *, 
     return law.gain, law.noise, law.exponent, problem.weight * box_around(semantic_template(layers), problem.margin)
 
 
-@exact_jit(static_argnames="size")
+@partial(jax.jit, static_argnames="size")
 def _by_vertices(
     image: Array, mask: Array, pose: Pose, law: tuple[Array, ...], weight: Array, mesh: Mesh, sonar: Sonar,
     vertices: Array, sigma: Array, *, size: WindowSize,

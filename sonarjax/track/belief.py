@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from sonarjax.exact import exact_jit
+from sonarjax.exact import full_precision
 from sonarjax.records import record
 from sonarjax.track.motion import Motion, TrackConfig, Turning
 from sonarjax.track.reduce import Mixture, reduced, wrapped
@@ -191,6 +191,7 @@ def _alike(density: Array, log_weight: Array, measurement: Measurement, numbers:
     return jnp.logaddexp(jnp.log1p(-numbers.alias), jnp.log(numbers.alias) + again)
 
 
+@full_precision
 def predicted(
     belief: Belief, sonar: Float[Array, "3"], elapsed: Float[Array, ""], numbers: Numbers
 ) -> tuple[
@@ -227,6 +228,7 @@ def _rotation(angle: Array) -> Float[Array, "2 2"]:
     return jnp.stack([jnp.stack([c, -s]), jnp.stack([s, c])])
 
 
+@full_precision
 def to_common(pose: Float[Array, "3"], sonar: Float[Array, "3"]) -> Float[Array, "3"]:
     """A pose (yaw [rad], x, y [m]) of the sonar's frame in the common frame, in which the sonar is at `sonar`
     (x, y, yaw).
@@ -235,6 +237,7 @@ def to_common(pose: Float[Array, "3"], sonar: Float[Array, "3"]) -> Float[Array,
     return jnp.concatenate([(pose[:1] + sonar[2]), place])
 
 
+@full_precision
 def _kalman(mean: Array, covariance: Array, pose: Array, std: Array, sonar: Array) -> tuple[Array, Array, Array]:
     """Log-likelihood of a hypothesis, and the mean and covariance that it updates."""
     seen = _observation(sonar)
@@ -261,7 +264,7 @@ def _first(pose: Array, std: Array, sonar: Array, numbers: Numbers) -> tuple[Arr
     return jnp.zeros(STATES).at[:3].set(to_common(pose, sonar)), whole
 
 
-@exact_jit
+@jax.jit
 def run_filter(belief: Belief, measurements: Measurement, numbers: Numbers) -> Belief:
     """The beliefs (frame, component) after each of the `measurements` (frame, hypothesis), one step for each."""
 
@@ -272,5 +275,5 @@ def run_filter(belief: Belief, measurements: Measurement, numbers: Numbers) -> B
     return jax.lax.scan(one, belief, measurements)[1]
 
 
-next_belief = exact_jit(step)
+next_belief = jax.jit(step)
 """`step`, compiled."""

@@ -8,6 +8,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from sonarjax.exact import full_precision
+
 COMPARED = 4
 """Components are compared in their first four numbers: yaw, x, y and rate."""
 LEAST_STD = 1e-4
@@ -32,6 +34,7 @@ def wrapped(angle: Array) -> Array:
     return (angle + jnp.pi) % (2 * jnp.pi) - jnp.pi
 
 
+@full_precision
 def reduced(mixture: Mixture, count: int, merge: Array) -> Mixture:
     """Reduce to `count` components: repeatedly merge the heaviest with all within `merge` of its standard deviations.
 

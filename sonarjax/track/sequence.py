@@ -11,7 +11,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sonarjax.exact import exact_jit
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.recognition import Recognition
 from sonarjax.recognize import Recognizer
@@ -177,7 +176,7 @@ class Tracker:
         return [in_view(Pose(mode.x, mode.y, mode.yaw), at) for mode in known]
 
 
-_predict = exact_jit(predicted)
+_predict = jax.jit(predicted)
 
 
 def track(

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from sonarjax.exact import exact_jit
+from sonarjax.exact import full_precision
 from sonarjax.track.belief import RATE, STATES, YAW, Belief, Numbers, predicted
 from sonarjax.track.reduce import wrapped
 
@@ -25,7 +25,7 @@ LEAST_VARIANCE = 1e-10
 """Also added to that diagonal [rad², m²]."""
 
 
-@exact_jit
+@jax.jit
 def run_smoother(beliefs: Belief, numbers: Numbers) -> Belief:
     """Smooth the beliefs (frame, component) of a filter: afterwards each component is one complete history.
 
@@ -64,6 +64,7 @@ def run_smoother(beliefs: Belief, numbers: Numbers) -> Belief:
     return jax.tree.map(lambda v, end: jnp.concatenate([v, end[None]]), rest, last)
 
 
+@full_precision
 def _smoothed(
     mean: Array, covariance: Array, expected: Array, spread: Array, transition: Array, mean_after: Array,
     covariance_after: Array,
@@ -74,6 +75,7 @@ def _smoothed(
     return mean + gain @ gap, covariance + gain @ (covariance_after - spread) @ gain.T
 
 
+@full_precision
 def _traced_back(transition: Array, noise: Array, mean: Array, covariance: Array) -> tuple[Array, Array]:
     """The state before `mean`, if nothing else is known about the object; its shared errors stay as they are."""
     back = jnp.eye(STATES).at[YAW, RATE].set(-transition[YAW, RATE])

@@ -74,7 +74,8 @@ def test_derivatives_are_those_that_autodiff_finds(rng, sums):
     def plain(middle, half):
         edges = jnp.arange(ROWS + 1, dtype=jnp.float32)
         length = ramp(middle[:, 0], half[:, 0], edges) - ramp(middle[:, 1], half[:, 1], edges)
-        return jnp.diff(jnp.einsum("sne,snk->ske", length, weights), axis=-1)
+        summed = jnp.einsum("sne,snk->ske", length, weights, precision=jax.lax.Precision.HIGHEST)
+        return jnp.diff(summed, axis=-1)
 
     (value, slope), (expected, expected_slope) = (
         jax.jvp(function, (middle, half), along) for function in (lambda m, h: weighted(m, h, weights, ROWS), plain)

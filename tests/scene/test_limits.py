@@ -157,7 +157,7 @@ def test_text_that_is_not_utf8(ending, tmp_path):
     path = tmp_path / f"box.{ending}"
     BOX.export(path, **({"file_type": "stl_ascii"} if ending == "stl" else {}))
     path.write_bytes(path.read_bytes().replace(b"0", b"\xff\xfe"))
-    refused(path, f"corrupt, or not {ending.upper()}")
+    refused(path)  # what is wrong with it depends on whether a package that guesses encodings is installed
 
 
 def test_a_format_that_needs_another_package(tmp_path, monkeypatch):

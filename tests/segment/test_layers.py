@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 
 import jax
@@ -34,6 +34,13 @@ def looped(name: str, x: np.ndarray, kernel: np.ndarray) -> np.ndarray:
         padded[:, a : a + stride * rows : stride, b : b + stride * columns : stride] @ kernel[a, b]
         for a, b in np.ndindex(4, 4)
     )
+
+
+@pytest.fixture(autouse=True)
+def _full_precision() -> Iterator[None]:
+    """A network may round its products on a GPU; here they are compared digit by digit."""
+    with jax.default_matmul_precision("highest"):
+        yield
 
 
 FUNCTIONS: dict[str, Callable[..., jax.Array]] = {"down": down, "up": up, "patch": patch}
