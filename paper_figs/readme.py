@@ -1,8 +1,9 @@
 """The tables of README.md and docs/, from the experiments' own results: what stands between markers is replaced.
 
 `<!-- reproduce_paper:begin -->` and `<!-- reproduce_paper:end -->`, each on a line of its own, hold the table of
-`experiments.reproduce_paper`, and so for any other experiment. The results themselves are kept in docs/results, so that
-a test can make every table again and compare each digit. The block `baseline` is the table of `paper_figs.baseline`.
+`experiments.reproduce_paper`, and so for any other experiment; a name may have settings behind it: `train_paper recipe
+paper` is `train_paper --recipe paper`. The results themselves are kept in docs/results, so that a test can make every table again
+and compare each digit. The block `baseline` is the table of `paper_figs.baseline`.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ KEPT = ROOT / "docs" / "results"
 """Folder of the results behind the tables, a file for each experiment: a list of reports, one for each seed."""
 LEFT_OUT = ("per_frame", "sheets", "told")
 """Parts of reports that no table shows, and that are large."""
-BEGIN = re.compile(r"^<!-- (\w+):begin -->$", re.MULTILINE)
+BEGIN = re.compile(r"^<!-- (\w[\w ]*):begin -->$", re.MULTILINE)
 
 
 def update(pages: tuple[Path, ...], runs: Path, kept: Path = KEPT) -> None:
@@ -34,7 +35,7 @@ def update(pages: tuple[Path, ...], runs: Path, kept: Path = KEPT) -> None:
     """
     texts = {page: _read(page) for page in pages}
     for name in dict.fromkeys(name for text in texts.values() for name in BEGIN.findall(text)):
-        if name != baseline.NAME and has_run(runs, name):
+        if name != baseline.NAME and has_run(runs, _as_in_command(name)):
             keep(name, runs, kept)
     for page, text in texts.items():
         write_text(page, with_blocks(text, page, kept))
@@ -42,12 +43,13 @@ def update(pages: tuple[Path, ...], runs: Path, kept: Path = KEPT) -> None:
 
 def keep(name: str, runs: Path, kept: Path) -> None:
     """Copy the results of an experiment, over all seeds that were run. Raises SonarjaxError for a smoke run."""
-    run = load(runs, name)
+    run = load(runs, _as_in_command(name))
     if run.smoke:
-        raise SonarjaxError(f"{run.folder}: a run of preset smoke cannot go into README; run {command(name)}")
+        wanted = command(_as_in_command(name))
+        raise SonarjaxError(f"{run.folder}: a run of preset smoke cannot go into README; run {wanted}")
     reports = [{key: value for key, value in report.items() if key not in LEFT_OUT} for report in of_all_seeds(run)]
     kept.mkdir(parents=True, exist_ok=True)
-    write_text(kept / f"{name}.json", json.dumps(_rounded(reports), indent=1) + "\n")
+    write_text(kept / _file_of(name), json.dumps(_rounded(reports), indent=1) + "\n")
 
 
 def with_blocks(text: str, page: Path, kept: Path = KEPT) -> str:
@@ -65,10 +67,22 @@ def block(name: str, kept: Path = KEPT) -> str:
     if name == baseline.NAME:
         return baseline.table(kept)
     try:
-        reports = json.loads((kept / f"{name}.json").read_text(encoding="utf-8"))
+        reports = json.loads((kept / _file_of(name)).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise SonarjaxError(f"{kept / name}.json: expected the results of {command(name)}: {error}") from error
+        raise SonarjaxError(
+            f"{kept / _file_of(name)}: expected the results of {command(_as_in_command(name))}: {error}"
+        ) from error
     return f"{spaced(own_table(name, combined(reports, mean_and_spread)))}\n\n*{origin(reports)}*"
+
+
+def _as_in_command(name: str) -> str:
+    """`train_paper recipe paper`, as it stands between a page's markers, as `train_paper --recipe paper`."""
+    experiment, *options = name.split()
+    return " ".join([experiment, *(word if k % 2 else f"--{word}" for k, word in enumerate(options))])
+
+
+def _file_of(name: str) -> str:
+    return f"{name.replace(' ', '_')}.json"
 
 
 def _read(path: Path) -> str:

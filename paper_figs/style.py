@@ -30,8 +30,8 @@ PALETTE = (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILION, BLACK)
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 NAMED = {
     "truth": (BLACK, "X"), "labels": (BLACK, "X"), "pix2pix": (BLUE, "o"), "pix2pix-tiles": (SKY, "v"),
-    "discriminative": (PURPLE, "D"), "paper-cpu": (SKY, "*"), "none": (ORANGE, "s"), "otsu": (GREEN, "^"),
-    "otsu1": (YELLOW, "<"), "otsu3": (GREY, ">"), "median-otsu": (VERMILION, "P"),
+    "discriminative": (PURPLE, "D"), "paper-cpu": (SKY, "*"), "paper": (SKY, "P"), "none": (ORANGE, "s"),
+    "otsu": (GREEN, "^"), "otsu1": (YELLOW, "<"), "otsu3": (GREY, ">"), "median-otsu": (VERMILION, "P"),
 }  # fmt: skip
 """Colour and marker of each segmenter or kind of map: the same in every figure."""
 SEQUENTIAL = "cividis"

@@ -1,8 +1,8 @@
 """The segmenters that experiments compare, by name: those of the package, and two networks of the paper.
 
 The 'discriminative model' is the shipped U-Net trained on the same pairs by cross-entropy alone; `paper-cpu` is the
-paper's own recipe. `train_paper` makes both. Their weights lie in the folder above: a baseline is for checking results,
-not for users.
+paper's own recipe, and `paper` the same at the paper's width. `train_paper` makes them. Their weights lie in the folder
+above: a baseline is for checking results, not for users. Those of `paper` are too large to keep in the repository.
 """
 
 from __future__ import annotations
@@ -20,10 +20,21 @@ from sonarjax.segment.tiled import segment
 
 TILES, TRUTH = "pix2pix-tiles", "truth"
 Name = Literal[
-    "truth", "pix2pix", "pix2pix-tiles", "paper-cpu", "discriminative", "none", "otsu", "otsu1", "otsu3", "median-otsu"
+    "truth",
+    "pix2pix",
+    "pix2pix-tiles",
+    "paper-cpu",
+    "paper",
+    "discriminative",
+    "none",
+    "otsu",
+    "otsu1",
+    "otsu3",
+    "median-otsu",
 ]
 BASELINES = {
-    name: Path(__file__).resolve().parents[1] / f"{name}.safetensors" for name in ("paper-cpu", "discriminative")
+    name: Path(__file__).resolve().parents[1] / f"{name}.safetensors"
+    for name in ("paper-cpu", "paper", "discriminative")
 }
 """Weights of the networks that are not the package's, by name."""
 OWN_THRESHOLDS = {TRUTH: 0.947, TILES: 0.825, "discriminative": 0.851}

@@ -57,7 +57,9 @@ def test_bare_floor_is_as_bright_as_the_simulator_has_it() -> None:
     look = LOOK._replace(exponent=math.log(1 - 0.02), log_share=0.0, **quiet)  # energy itself
     drawn = np.asarray(picture(SONAR, look, layers, jnp.zeros(()), jnp.int32(10), 2.5)) + 1
     lit = propagation.elevation_gain(propagation.floor_elevation(SONAR), SONAR.elevation_aperture, look.skirt)
-    expected = propagation.pulse_blur(lit, look.pulse) @ beam_mixing(SONAR, look.widening, 2.0).T
+    expected = (
+        np.asarray(propagation.pulse_blur(lit, look.pulse)) @ np.asarray(beam_mixing(SONAR, look.widening, 2.0)).T
+    )
     np.testing.assert_allclose(drawn, expected, atol=1e-4)
 
 
