@@ -1,9 +1,9 @@
 """The tables of README.md and docs/, from the experiments' own results: what stands between markers is replaced.
 
 `<!-- reproduce_paper:begin -->` and `<!-- reproduce_paper:end -->`, each on a line of its own, hold the table of
-`experiments.reproduce_paper`, and so for any other experiment; a name may have settings behind it: `train_paper recipe
-paper` is `train_paper --recipe paper`. The results themselves are kept in docs/results, so that a test can make every table again
-and compare each digit. The block `baseline` is the table of `paper_figs.baseline`.
+`experiments.reproduce_paper`, and so for any other experiment. A name may have settings behind it: `train_paper recipe
+paper` is `train_paper --recipe paper`. The results themselves are kept in docs/results, so that a test can make every
+table again and compare each digit. The block `baseline` is the table of `paper_figs.baseline`.
 """
 
 from __future__ import annotations
