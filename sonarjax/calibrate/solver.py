@@ -20,6 +20,7 @@ from sonarjax.calibrate.look import LOOK, LOOK_STD, LOOK_TRUST, Look
 from sonarjax.calibrate.parameters import PARAMETERS, SIZES, changed_mesh, changed_sonar
 from sonarjax.calibrate.picture import Sampling, fitted, measured_mean, object_layers, picture
 from sonarjax.exact import full_precision
+from sonarjax.io.errors import SonarjaxError
 from sonarjax.records import record
 from sonarjax.refine.template import POSE
 from sonarjax.render import WindowSize
@@ -184,12 +185,22 @@ class _Assembled(NamedTuple):
     costs: np.ndarray  # (frame,)
     cost: float  # with the priors
     square: np.ndarray  # (row,)
+    sound: np.ndarray  # (frame,) whether all numbers of a frame are finite
 
 
 def solve_jointly(evaluate: Callable[[Point], Sequence[Blocks]], begin: Point, prior: Prior, *, iterations: int) -> Fit:
-    """Minimise the costs of frames and priors from `begin`; `evaluate` gives the `Blocks` of each frame at a point."""
+    """Minimise the costs of frames and priors from `begin`; `evaluate` gives the `Blocks` of each frame at a point.
+
+    A step to where a frame has no finite cost or derivative is taken back.
+
+    Raises:
+        SonarjaxError: A frame has none at `begin`.
+    """
     point, damping, settled = begin, 1e-3, False
     best = _assembled(evaluate(begin), begin, prior)
+    if not best.sound.all():
+        number = int(np.flatnonzero(~best.sound)[0])
+        raise SonarjaxError(f"calibrate: frame {number} of those fitted has no finite derivatives where the fit begins")
     for _ in range(iterations):
         shared, own = _step(best, prior, damping)
         moved = np.abs(shared / prior.trust).max(initial=0.0)
@@ -213,6 +224,7 @@ _TRUST = np.array(TRUST_OWN)
 
 def _assembled(parts: Sequence[Blocks], point: Point, prior: Prior) -> _Assembled:
     hessian, gradient, costs, square = (np.stack([np.asarray(v, float) for v in vs]) for vs in zip(*parts, strict=True))
+    sound = np.isfinite(hessian).all((1, 2)) & np.isfinite(gradient).all(1) & np.isfinite(costs)
     hessian, gradient, costs = (v / prior.overcounted for v in (hessian, gradient, costs))
     hessian[:, POSE, POSE] += 1 / BOUNCE_STD**2
     off = point.own[:, POSE] - BOUNCE
@@ -223,7 +235,8 @@ def _assembled(parts: Sequence[Blocks], point: Point, prior: Prior) -> _Assemble
     return _Assembled(
         own=hessian[:, :OWN, :OWN], across=hessian[:, :OWN, OWN:], own_gradient=gradient[:, :OWN],
         shared=hessian[:, OWN:, OWN:].sum(0), shared_gradient=gradient[:, OWN:], prior_gradient=tight * away,
-        tight=tight, costs=costs, cost=float(cost) if np.isfinite(cost) else np.inf, square=square.mean(0),
+        tight=tight, costs=costs, cost=float(cost) if sound.all() else np.inf, square=square.mean(0),
+        sound=sound,
     )  # fmt: skip
 
 

@@ -8,6 +8,7 @@ import pytest
 from sonarjax.calibrate.covariance import certainty, overcounted
 from sonarjax.calibrate.look import LOOK, LOOK_STD
 from sonarjax.calibrate.solver import BOUNCE, BOUNCE_STD, LOOKS, OWN, Blocks, Point, make_prior, solve_jointly
+from sonarjax.io.errors import SonarjaxError
 
 FREE, STD = ("tilt", "height"), np.array([0.05, 0.1])
 SHARED = len(FREE) + LOOKS
@@ -72,6 +73,29 @@ def test_blocks_give_the_dense_solution(linear, fixed) -> None:
     assert fit.converged
     np.testing.assert_allclose(fit.point.shared - np.concatenate([[0, 0], LOOK]), wanted[:SHARED], atol=2e-4)
     np.testing.assert_allclose(fit.point.own.reshape(-1), wanted[SHARED:], atol=2e-4)
+
+
+def without_numbers(evaluate, where):
+    """As `evaluate`, but without finite derivatives of the last frame at points for which `where` is true."""
+
+    def at(point: Point) -> list[Blocks]:
+        *others, last = evaluate(point)
+        return [*others, last._replace(hessian=last.hessian * (np.nan if where(point) else 1.0))]
+
+    return at
+
+
+def test_a_step_to_where_nothing_is_finite_is_taken_back(linear) -> None:
+    usual = solve_jointly(evaluate(linear), begin(), make_prior(FREE, STD), iterations=60)
+    reached = usual.point.shared[0]
+    beyond = without_numbers(evaluate(linear), lambda point: abs(point.shared[0]) > 0.5 * abs(reached))
+    fit = solve_jointly(beyond, begin(), make_prior(FREE, STD), iterations=60)
+    assert np.isfinite(fit.information).all() and 0 < abs(fit.point.shared[0]) <= 0.5 * abs(reached)
+
+
+def test_a_frame_without_numbers_at_the_start_is_one_line(linear) -> None:
+    with pytest.raises(SonarjaxError, match=f"^calibrate: frame {FRAMES - 1} of those fitted has no finite"):
+        solve_jointly(without_numbers(evaluate(linear), lambda _: True), begin(), make_prior(FREE, STD), iterations=3)
 
 
 def test_information_is_the_schur_complement(linear) -> None:
