@@ -2,7 +2,7 @@
 
 python -m experiments.outside [--external DIR] [--tank DIR] [--preset smoke] [--help]
 
-The judge (`experiments.judge`) is a ray caster on Embree and a sensor model that share no line with the package. The
+The judge (`experiments.judge`) is a ray caster on Embree and a sensor model that import nothing from the package's renderer or sensor. The
 folders of another simulator's frames and of the tank are not part of the project; what is not given is left out. No
 threshold, setting or network was chosen on any of these frames: docs/outside.md logs every run.
 

@@ -1,4 +1,4 @@
-"""An independent judge: frames by a ray caster on Embree and a sensor model that share no line with `sonarjax`.
+"""An independent judge: frames by a ray caster on Embree and a sensor model of its own.
 
 Nothing here imports the package's renderer, sensor, data, segmenter, matcher or refinement (a test holds that). Nothing
 is ever trained on these frames, and no constant here was chosen by how well anything recognizes them.
