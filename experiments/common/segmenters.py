@@ -1,8 +1,8 @@
 """The segmenters that experiments compare, by name: those of the package, and two networks of the paper.
 
-The 'discriminative model' is the U-Net trained by cross-entropy alone (docs/training.md says on what); `paper-cpu` is the
-paper's own recipe, and `paper` the same at the paper's width. `train_paper` makes them. Their weights lie in the folder
-above: a baseline is for checking results, not for users. Those of `paper` are too large to keep in the repository.
+The 'discriminative model' is the U-Net trained by cross-entropy alone (docs/training.md says on what); `paper-cpu` is
+the paper's own recipe, and `paper` the same at the paper's width. `train_paper` makes them. Their weights lie in the
+folder above: a baseline is for checking results, not for users. Those of `paper` are too large for the repository.
 """
 
 from __future__ import annotations
