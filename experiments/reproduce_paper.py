@@ -185,22 +185,31 @@ def beyond(offset: dict[str, Any], tank: dict[str, Any], frames: int) -> list[di
 def in_training() -> list[dict[str, Any]]:
     """§3.2: how long the paper's recipe took where it was trained to its end, and what that says of its full width.
 
-    Nothing where its weights are not. The work of a step grows as the square of the width.
+    Nothing where no weights are. The work of a step grows as the square of the width.
     """
-    path = BASELINES["paper-cpu"]
-    cost = read_safetensors(path)[1].get("cost") if path.exists() else None
-    if cost is None:
-        return []
-    full = find_recipe("paper").networks.width
-    projected = cost["hours"] * (full / cost["width"]) ** 2
-    where = cost["device"]
-    measured = f"measured on {where}, {cost['images_per_s']:.0f} images a second"
-    lines: list[tuple[str, str, float | None, float, str]] = [
-        ("§3.2", f"training at width {cost['width']} [h]", None, cost["hours"], measured),
-        ("§3.2", f"training at width {full} [h]", paper.TRAINING_HOURS, projected,
-         f"projected for {where}, not run; the paper's on a Titan V"),
-    ]  # fmt: skip
+    lines: list[tuple[str, str, float | None, float, str]] = []
+    narrow, wide = _cost("paper-cpu"), _cost("paper")
+    width = find_recipe("paper").networks.width
+    if narrow:
+        lines.append(("§3.2", f"training at width {narrow['width']} [h]", None, narrow["hours"], _measured(narrow)))
+    if wide:
+        note = f"{_measured(wide)}; the paper's on a Titan V"
+        lines.append(("§3.2", f"training at width {width} [h]", paper.TRAINING_HOURS, wide["hours"], note))
+    elif narrow:
+        note = f"projected for {narrow['device']}, not run; the paper's on a Titan V"
+        projected = narrow["hours"] * (width / narrow["width"]) ** 2
+        lines.append(("§3.2", f"training at width {width} [h]", paper.TRAINING_HOURS, projected, note))
     return [dict(zip(BESIDE, line, strict=True)) for line in lines]
+
+
+def _cost(name: str) -> dict[str, Any] | None:
+    """What the training of a network cost; None where its weights are not."""
+    path = BASELINES[name]
+    return read_safetensors(path)[1].get("cost") if path.exists() else None
+
+
+def _measured(cost: dict[str, Any]) -> str:
+    return f"measured on {cost['device']}, {cost['images_per_s']:.0f} images a second"
 
 
 def table(report: Report) -> str:

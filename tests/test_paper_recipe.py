@@ -52,12 +52,18 @@ def test_an_interrupted_training_goes_on_to_the_same_weights(tmp_path, monkeypat
 def test_the_full_width_is_projected_by_the_square(tmp_path, monkeypatch):
     path = tmp_path / "paper-cpu.safetensors"
     monkeypatch.setitem(segmenters.BASELINES, "paper-cpu", path)
+    monkeypatch.setitem(segmenters.BASELINES, "paper", tmp_path / "none.safetensors")
     assert reproduce_paper.in_training() == []
     cost = {"hours": 0.5, "images_per_s": 70.0, "width": 16, "device": "2 cores"}
     write_safetensors(path, {"one": np.zeros(1, np.float32)}, {"cost": cost})
     measured, projected = reproduce_paper.in_training()
     assert measured["ours"] == 0.5 and projected["ours"] == 8.0 and projected["paper"] == 1.2
     assert "projected" in projected["note"] and "measured" in measured["note"]
+    wide = tmp_path / "paper.safetensors"
+    monkeypatch.setitem(segmenters.BASELINES, "paper", wide)
+    write_safetensors(wide, {}, {"cost": {"hours": 0.1, "images_per_s": 560.0, "width": 64, "device": "a GPU"}})
+    _, of_its_own = reproduce_paper.in_training()
+    assert of_its_own["ours"] == 0.1 and "measured on a GPU" in of_its_own["note"]
 
 
 def test_the_shipped_files_say_what_their_training_cost():
