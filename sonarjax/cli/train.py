@@ -30,8 +30,10 @@ def run(args: argparse.Namespace) -> int:
     start_jax()
     from sonarjax.cpu import keep_memory, usual_engine
     from sonarjax.segment.training import train
+    from sonarjax.segment.training.devices import join_processes
 
     keep_memory()  # allocating a step's memory anew would take a third of the step
+    join_processes()  # before anything asks JAX for its devices, as the choice of an engine does
     result = train(args.preset, args.run_dir, resume=args.resume, engine=usual_engine())
     if not result.finished:
         complain(f"stopped after step {result.step}; --resume continues from there", "")
