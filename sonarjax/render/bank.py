@@ -33,6 +33,7 @@ from sonarjax.sonar import Sonar
 BANK_QUALITY = RenderQuality(sub_beams=1)
 ROW_STEP = 32  # rows of a window are rounded up to multiples of this: a finer step than elsewhere, as every view pays
 VIEWS = 9  # templates that one call of the compiled function renders
+ROUGH = 16  # with this many times more sharp edges than slabs may end at, few slabs would end at the right ones
 VMAPPED = 36  # the same on an accelerator, where they are rendered at once
 TOUCHED = 0.01  # a pixel belongs to the object when its semantic value is this far from the background's
 
@@ -133,7 +134,7 @@ def _quick(mesh: Mesh) -> Mesh:
     Slabs at a few of thousands of edges make no view of a rough body exact, and a bank is never differentiated. It
     saves half the time.
     """
-    rough = mesh.crossings > EXACT_LIMIT and mesh.crease.shape[-1] > mesh.events
+    rough = mesh.crossings > EXACT_LIMIT and mesh.crease.shape[-1] > ROUGH * mesh.events
     return replace(mesh, events=0) if rough else mesh
 
 
