@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from experiments.common.launch import combined, mean_and_spread
-from experiments.real_turntable import Settings, compared, errors_deg, summary
+from experiments.real_turntable import Settings, by_recognize, compared, errors_deg, load, summary
 
 ONE = Settings(searches=("recognize",))
 
@@ -50,3 +50,13 @@ def test_the_summary_sets_each_row_beside_pix2pix_for_one_seed_and_for_several(r
     assert all("1.250 | 3.500" in line for line in lines)
     assert lines[0].endswith("| – | – |") and " to +" in lines[1]
     assert " ± " in summary(combined(reports, mean_and_spread))
+
+
+@pytest.mark.slow
+def test_the_real_pipe_is_found_on_its_platform(real_data):
+    settings = Settings(frames=8, data=str(real_data / "pipe"), refine=False)
+    data = load(settings)
+    found = by_recognize(data, settings, "none")
+    away = [np.hypot(pose.x - settings.platform_x, pose.y - settings.platform_y) for pose in found.poses]
+    assert np.median(away) < 0.1
+    assert np.median(np.abs(errors_deg(np.array(found.yaws["bin"]), data.truth)[0])) < 6

@@ -9,7 +9,8 @@ import pytest
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.render import RenderQuality, bank_place, floor_point, image_azimuth, render, template_bank
 from sonarjax.render.region import leaning_room, plan_window
-from sonarjax.scene import Pose, objects
+from sonarjax.render.visibility import EXACT_LIMIT
+from sonarjax.scene import Mesh, Pose, objects
 from sonarjax.sonar import Sonar
 
 SONAR = Sonar.preset("didson-hf", tilt=math.radians(20.0), height=0.9)
@@ -66,6 +67,20 @@ def test_templates_are_crops_of_the_frame(brick, bank, index):
     inside[row : row + h, column : column + w] = True
     np.testing.assert_allclose(bank.templates[index], image[row : row + h, column : column + w], atol=1e-4)
     assert np.abs(image[~inside] - 0.5).max() < 0.011  # nothing of the object is cut off
+
+
+def test_a_pipe_seen_along_its_axis():
+    """Slabs must end at its edges: else its shadow is smeared over tens of range bins, and the bank's crop grows."""
+    vertices, faces = objects.cylinder_arrays(0.055, 0.24, sides=64)
+    lying = np.stack([vertices[:, 2] - 0.12, vertices[:, 1], 0.055 - vertices[:, 0]], axis=1)
+    pipe = Mesh.from_arrays(lying, faces, name="pipe")
+    assert pipe.crossings > EXACT_LIMIT and pipe.crease.shape[-1] > pipe.events
+    bank = template_bank(pipe, SONAR, YAWS[[0, 4, 9]], x=1.8)
+    row, column = bank.offset
+    _, h, w = bank.templates.shape
+    for template, yaw in zip(np.asarray(bank.templates), np.asarray(bank.yaws), strict=True):
+        frame = render(pipe, Pose(1.8, 0.0, yaw), SONAR, quality=RenderQuality(sub_beams=1)).semantic()
+        np.testing.assert_allclose(template, frame[row : row + h, column : column + w], atol=0.05)
 
 
 def test_margin_around_the_union_of_all_yaws(bank):
