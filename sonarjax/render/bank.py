@@ -33,8 +33,8 @@ from sonarjax.sonar import Sonar
 BANK_QUALITY = RenderQuality(sub_beams=1)
 ROW_STEP = 32  # rows of a window are rounded up to multiples of this: a finer step than elsewhere, as every view pays
 VIEWS = 9  # templates that one call of the compiled function renders
-ROUGH = 16  # with this many times more sharp edges than slabs may end at, few slabs would end at the right ones
 VMAPPED = 36  # the same on an accelerator, where they are rendered at once
+ROUGH = 16  # with this many times more sharp edges than slabs may end at, few slabs would end at the right ones
 TOUCHED = 0.01  # a pixel belongs to the object when its semantic value is this far from the background's
 
 
