@@ -18,12 +18,8 @@ STAGES = [
     "recognition", "recognize", "track", "results", "plot", "cli",
 ]  # fmt: skip
 SPEED = {"cluster", "cpu"}  # nothing but speed: optional
-BASE = {
-    "crops",
-    "records",
-    "engine",
-    "exact",
-}  # below everything: any file may import them, and they import no stage but io
+# Below everything: any file may import them, and they import no stage but io.
+BASE = {"crops", "records", "engine", "exact"}
 OUTSIDE = {"cluster", "cpu", "__init__", "__main__"}  # beside the order
 ONLY_IMPORTER = {"trimesh": "scene", "jaxopt": "refine"}
 FORBIDDEN = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "shelve", "marshal"}
