@@ -19,13 +19,14 @@ from scipy.optimize import minimize
 from tqdm import tqdm
 
 import sonarjax as sj
+from experiments.common.drawn_piles import pile_scenes
 from experiments.common.frames import TILTS_DEG
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns, yaw_error_deg
 from experiments.common.recognizers import recognizers
 from experiments.common.runs import Job
 from experiments.common.scores import area
-from experiments.common.validation import Case, scenes, validation_cases
+from experiments.common.validation import Case, Scene, scenes, validation_cases
 from sonarjax.io.safetensors import read_safetensors, write_safetensors
 from sonarjax.refine import ErrorBar
 from sonarjax.refine.errorbar import log_drop
@@ -57,7 +58,7 @@ class Settings:
 
     segmenter: str = "pix2pix"
     """A segmenter's name, or a weights file."""
-    count: int = 480
+    count: int = 960
     """Validation frames."""
     tilts_deg: tuple[float, ...] = TILTS_DEG
     """Tilts of the sonar [deg], of those of §4.1."""
@@ -87,7 +88,7 @@ class Measured:
 
 def run(settings: Settings, job: Job) -> Report:
     """The rule, the error bar, and what both reach."""
-    cases = validation_cases(job.seed, settings.count, tilts_deg=settings.tilts_deg)
+    cases = validation_cases(job.seed, settings.count, tilts_deg=settings.tilts_deg, of=_scenes())
     found = job.map(lambda name: _measure(cases, name), (settings.segmenter,), "segmenter")[settings.segmenter]
     values = Measured(**{name: np.asarray(v, bool if name == "own" else float) for name, v in found.items()})
     facts = {"sought": [case.sought for case in cases], "shown": [case.shown for case in cases]}
@@ -113,9 +114,13 @@ def run(settings: Settings, job: Job) -> Report:
     return {"rule": rule, "error_bar": bar._asdict(), "rows": rows}
 
 
+def _scenes() -> dict[str, Scene]:
+    return scenes() | pile_scenes()
+
+
 def _measure(cases: list[Case], segmenter: str) -> dict[str, Any]:
     loaded = sj.load_segmenter(segmenter)
-    made = {name: recognizers(scene.target, segmenter=loaded) for name, scene in scenes().items()}
+    made = {name: recognizers(scene.target, segmenter=loaded) for name, scene in _scenes().items()}
     found: dict[str, list[Any]] = {name: [] for name in Measured.__dataclass_fields__}
     for case in tqdm(cases, desc=segmenter, unit="frame", leave=False, disable=None):
         result = made[case.sought](case.tilt_deg)(case.image, threshold=0.5)

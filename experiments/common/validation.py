@@ -8,7 +8,7 @@ the recognizer is told, and so is what faces send back from what the template ha
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import NamedTuple
@@ -121,18 +121,22 @@ def shown_in(name: str, turn: int) -> int:
 
 
 def validation_cases(
-    seed: int, count: int, *, tilts_deg: Sequence[float] = (15.0, 20.0, 25.0), names: Sequence[str] | None = None
+    seed: int, count: int, *, tilts_deg: Sequence[float] = (15.0, 20.0, 25.0), of: Mapping[str, Scene] | None = None
 ) -> list[Case]:
-    """`count` frames: of each object in turn, half of them show it, the others what is like it or its mirror image."""
+    """`count` frames: of each object in turn, half of them show it, the others what is like it or its mirror image.
+
+    Without `of`, the objects by name, they are those of `scenes`.
+    """
     key = jax.random.key(VALIDATION_SEED + seed)
-    names = list(scenes() if names is None else names)
+    of = scenes() if of is None else of
+    names = list(of)
 
     def simulate(number: int) -> Case:
         part = jax.random.fold_in(key, number)
         name, rest = names[number % len(names)], number // len(names)
         shown = shown_in(name, rest)
         tilt = float(tilts_deg[rest // 4 % len(tilts_deg)])
-        return _case(name, scenes()[name][shown], Scene._fields[shown], tilt, key=part)
+        return _case(name, of[name][shown], Scene._fields[shown], tilt, key=part)
 
     with Progress("simulating validation frames", count, unit="frame", leave=False) as progress:
 
