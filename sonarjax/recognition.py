@@ -18,7 +18,7 @@ class Hypothesis:
     yaw: float
     """Absolute yaw [rad]."""
     score: float
-    """NCC (eq. 4) of its template."""
+    """NCC (eq. 4) of its template; after refinement a weighted mean of those with the frame and with the map."""
     yaw_std: float | None
     """Standard deviation of the refined yaw [rad], given this hypothesis; None without refinement.
 
@@ -47,7 +47,7 @@ class Recognition:
     score_bank: float
     """Largest NCC over the bank's yaw bins."""
     score_refined: float | None
-    """NCC of the best refined template with what it was refined on; None without refinement."""
+    """Score of the best hypothesis after refinement (`Hypothesis.score`); None without refinement."""
     threshold: float
     """Smallest score of an identified target."""
     runner_up: str | None

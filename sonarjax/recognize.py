@@ -367,9 +367,9 @@ def _result(look: Look, refined: Sequence[RefinedStart]) -> _Result:
 
 
 def _hypothesis(one: RefinedStart, std: float) -> Hypothesis:
-    """The start's refined pose, with the standard deviation of its yaw [rad] and the score that belongs to it."""
+    """The start's refined pose, with the standard deviation of its yaw [rad] and how well it fits."""
     pose, settled = one.pose, bool(one.estimate.converged)
-    return Hypothesis(_wrap(pose.yaw), one.score, std, settled, float(pose.x), float(pose.y))
+    return Hypothesis(_wrap(pose.yaw), one.fit, std, settled, float(pose.x), float(pose.y))
 
 
 def _distinct(hypotheses: list[Hypothesis]) -> tuple[Hypothesis, ...]:

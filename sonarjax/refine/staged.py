@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import compress
 from typing import NamedTuple
 
 import numpy as np
@@ -21,9 +22,14 @@ from sonarjax.scene import Pose
 BRIEF_ON_MAP, BRIEF_ON_FRAME = 1, 2
 """Most renders at each blur of the brief refinements that every start gets."""
 LEAD = 0.1
-"""A start whose score on the frame is lower than the best by more than this is refined no further.
+"""A start whose score on the frame is lower than the best by more than this is refined no further, unless its `fit` is
+the best.
 
 The score on the map says too little: on frames of odd devices the right start can be far behind there."""
+MAP_SHARE = 1 / 3
+"""Weight of the map in `RefinedStart.fit`; the frame has the rest [1].
+
+On the frame alone, the template may fit a tank's wall better than the target."""
 SAME_POSE = math.radians(5.0), 0.02
 """Poses that differ by less than this in yaw [rad] and in place [m] after the brief refinement count as one."""
 
@@ -42,9 +48,14 @@ class RefinedStart(NamedTuple):
 
     @property
     def score(self) -> float:
-        """The score that belongs to the pose."""
+        """The score on the frame (NCC, eq. 4) that belongs to the pose."""
         found = self.estimate
         return float(np.where(is_kept(found), np.asarray(found.score), np.asarray(found.start_score)))
+
+    @property
+    def fit(self) -> float:
+        """How well the template fits frame and map: the mean of its NCCs, weighted by `MAP_SHARE`."""
+        return (1 - MAP_SHARE) * self.score + MAP_SHARE * float(self.evidence.map_fit)
 
 
 def refine_starts(
@@ -53,9 +64,9 @@ def refine_starts(
 ) -> list[RefinedStart]:  # fmt: skip
     """Refine starts, each in the picture in which it was found and then on the frame itself.
 
-    All are refined briefly. Then the best one is refined until it settles, and so are those that score nearly as high.
-    The second refinement on the frame begins again with the widest blur, and chooses template and echo law anew. This
-    makes large errors rarer on noisy frames.
+    All are refined briefly. Then the best one is refined until it settles, and so are those that score nearly as high
+    on the frame as the highest. The second refinement on the frame begins again with the widest blur, and chooses
+    template and echo law anew. This makes large errors rarer on noisy frames.
 
     Args:
         starts: The starts. Those with a pose of their own count only where refinement settles or fits better.
@@ -67,7 +78,7 @@ def refine_starts(
         engine: What runs the refinement.
 
     Returns:
-        Different poses, best first. Those that score far less than the best are refined only briefly.
+        Different poses, best `fit` first. Those that score far less than the best are refined only briefly.
 
     Raises:
         SonarjaxError: As `refine_yaw` does.
@@ -87,10 +98,12 @@ def refine_starts(
 
     final = on_frame(config)
     found = filter(_counts, engine.map(briefly, starts))
-    poses = different(sorted(found, key=lambda one: -one.score))
-    leading = [one for one in poses if one.score >= poses[0].score - LEAD]
-    settled = engine.map(lambda one: in_frame(one.start, one.pose, final), leading)
-    return sorted([*settled, *poses[len(leading) :]], key=lambda one: -one.score)
+    poses = different(sorted(found, key=lambda one: -one.fit))
+    least = max(one.score for one in poses) - LEAD
+    leads = [k == 0 or one.score >= least for k, one in enumerate(poses)]
+    settled = engine.map(lambda one: in_frame(one.start, one.pose, final), list(compress(poses, leads)))
+    rest = compress(poses, [not lead for lead in leads])
+    return sorted([*settled, *rest], key=lambda one: -one.fit)
 
 
 def different(found: Sequence[RefinedStart]) -> list[RefinedStart]:

@@ -57,7 +57,7 @@ def test_starts_that_meet_count_once_and_only_the_best_is_refined_to_the_end(fra
     found, refinements = refined(frame, 3.0, -4.0, 60.0)
     assert abs(off_deg(found[0])) < 0.3 and bool(found[0].estimate.converged)
     assert sum(abs(off_deg(one)) < 20.0 for one in found) == 1
-    assert found == sorted(found, key=lambda one: -one.score)
+    assert found == sorted(found, key=lambda one: -one.fit)
     assert refinements == 3 + 3 + 1  # on the map and briefly on the frame, and only the best one to its end
 
 
@@ -71,3 +71,17 @@ def test_an_expected_pose_counts_only_where_the_frame_shows_it(frame: np.ndarray
     nowhere = sj.Pose(x=3.4, y=-0.4, yaw=0.0)
     found, _ = refined(frame, 3.0, expected=(nowhere, sj.Pose(TRUTH.x, TRUTH.y, TRUTH.yaw + 0.02)))
     assert len(found) == 1 and abs(off_deg(found[0])) < 0.3
+
+
+def test_what_only_the_frame_shows_comes_behind_what_the_map_shows_too(frame: np.ndarray) -> None:
+    """A strong echo elsewhere, such as a wall, can look more like the template than a noisy target does."""
+    elsewhere = sj.Pose(TRUTH.x + 0.8, TRUTH.y, TRUTH.yaw)
+    noise = 0.25 * np.random.default_rng(2).normal(size=frame.shape).astype(np.float32)
+    strong = np.asarray(sj.render(MESH, elsewhere, SONAR).semantic())
+    image = np.where(strong == 0.5, frame + noise, strong)
+    search: Any = SimpleNamespace(mesh=MESH, sonar=SONAR)
+    candidate: Any = SimpleNamespace(search=search, between_bins=lambda k: (elsewhere, TRUTH)[k])
+    starts = [Start(candidate, 0, image), Start(candidate, 1, frame)]
+    first, second = refine_starts(starts, image, frame, None, MAP_REFINEMENT, lambda _: None, Engine())
+    assert first.score < second.score and first.fit > second.fit
+    assert float(first.pose.x) == pytest.approx(float(TRUTH.x), abs=0.02)
