@@ -27,6 +27,7 @@ from experiments.common.recognizers import recognizers
 from experiments.common.runs import Job
 from experiments.common.scores import area
 from experiments.common.validation import Case, Scene, scenes, validation_cases
+from experiments.common.walled import walled_cases
 from sonarjax.io.safetensors import read_safetensors, write_safetensors
 from sonarjax.refine import ErrorBar
 from sonarjax.refine.errorbar import log_drop
@@ -60,6 +61,8 @@ class Settings:
     """A segmenter's name, or a weights file."""
     count: int = 960
     """Validation frames."""
+    walled: int = 240
+    """More of them, with the walls of a drawn tank in view."""
     tilts_deg: tuple[float, ...] = TILTS_DEG
     """Tilts of the sonar [deg], of those of §4.1."""
     into: str = ""
@@ -89,6 +92,7 @@ class Measured:
 def run(settings: Settings, job: Job) -> Report:
     """The rule, the error bar, and what both reach."""
     cases = validation_cases(job.seed, settings.count, tilts_deg=settings.tilts_deg, of=_scenes())
+    cases += walled_cases(job.seed, settings.walled)
     found = job.map(lambda name: _measure(cases, name), (settings.segmenter,), "segmenter")[settings.segmenter]
     values = Measured(**{name: np.asarray(v, bool if name == "own" else float) for name, v in found.items()})
     facts = {"sought": [case.sought for case in cases], "shown": [case.shown for case in cases]}
@@ -97,8 +101,8 @@ def run(settings: Settings, job: Job) -> Report:
     probability = 1 / (1 + np.exp(-odds(values.evidence)))
     bar = fit_error_bar(values)
     left_out = _left_out(values, np.array([case.sought for case in cases]))
-    families = {"any device": np.ones(len(cases), bool), "odd devices": np.array([case.odd for case in cases])}
-    families["the family"] = ~families["odd devices"]
+    walls, odd = np.arange(len(cases)) >= settings.count, np.array([case.odd for case in cases])
+    families = {"any device": ~walls, "odd devices": odd & ~walls, "the family": ~odd & ~walls, "walls in view": walls}
     std = np.degrees(_std(bar, values))
     rows = [
         {"frames": name} | _row(values, probability, left_out, std, chosen)
@@ -232,4 +236,4 @@ def table(report: Report) -> str:
 
 
 if __name__ == "__main__":
-    launch(run, Settings, table, smoke={"count": 8, "segmenter": "none", "tilts_deg": (20.0,)})
+    launch(run, Settings, table, smoke={"count": 15, "walled": 2, "segmenter": "none", "tilts_deg": (20.0,)})

@@ -18,17 +18,15 @@ from typing import Any
 
 import jax
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 import sonarjax as sj
 from experiments.common.engine import engine
-from experiments.common.frames import GROUND_RANGE_M, VALIDATION_SEED, observed, sonar_for
 from experiments.common.launch import Report, Skipped, launch
+from experiments.common.leaning import Case, Leaning, errors, is_angle, rotation, target_cases
 from experiments.common.metrics import columns
 from experiments.common.runs import Job
 from experiments.common.sets import target
-from sonarjax.refine import PoseFinder, in_view
-from sonarjax.sensor import SensorModel
+from sonarjax.refine import PoseFinder
 
 ASTRAY_DEG, ASTRAY_CM = 20.0, 10.0
 """A pose that is further off than one of these is another hypothesis; standard deviations are judged on the rest."""
@@ -56,20 +54,6 @@ class Settings:
     """Largest height of the lowest point above the floor [m] of the package's own frames; the judge's is 5 cm."""
 
 
-@dataclass(frozen=True)
-class Case:
-    """One object and its frames."""
-
-    images: np.ndarray
-    """Grey frames (view, range, beam)."""
-    pose: sj.Pose
-    """The truth, in the first sonar's ground frame."""
-    sonar_poses: sj.Pose
-    """(view,) where the sonars are, in that frame."""
-    sonar: sj.Sonar
-    """As the estimator is told."""
-
-
 def run(settings: Settings, job: Job) -> Report:
     """A row for each set and number of views."""
     try:
@@ -84,7 +68,9 @@ def run(settings: Settings, job: Job) -> Report:
 
 def _measured(name: str, settings: Settings, seed: int) -> dict[str, list[dict[str, Any]]]:
     """What is found of each object, from its first frame alone and from both, by the number of views."""
-    cases = _own(settings, seed) if name == OWN else _judged(settings, seed, JUDGED[name])
+    how = Leaning(settings.tilt_deg, settings.lean_deg, settings.lift_m)
+    own = name == OWN
+    cases = target_cases(seed, settings.objects, how) if own else _judged(settings, seed, JUDGED[name])
     found: dict[str, list[dict[str, Any]]] = {"1": [], "2": []}
     finder: PoseFinder | None = None
     for case in cases:
@@ -102,44 +88,13 @@ def _measured(name: str, settings: Settings, seed: int) -> dict[str, list[dict[s
 def _errors(truth: sj.Pose, found: sj.PoseEstimate) -> dict[str, Any]:
     """How far the best hypothesis is off."""
     best = jax.tree.map(lambda v: np.asarray(v)[0], found)
-    away = np.array([getattr(best.pose, name) - float(getattr(truth, name)) for name in found.free], float)
-    angles = [k for k, name in enumerate(found.free) if name in ("yaw", "roll", "pitch")]
-    away[angles] = (away[angles] + math.pi) % (2 * math.pi) - math.pi
-    lengths = [k for k in range(len(away)) if k not in angles]
+    away = errors(truth, best)
     return {
-        "cm": 100 * float(np.linalg.norm(away[lengths])),
-        "deg": math.degrees((_rotation(truth).inv() * _rotation(best.pose)).magnitude()),
+        "cm": 100 * float(np.linalg.norm(away[~is_angle(best.free)])),
+        "deg": math.degrees((rotation(truth).inv() * rotation(best.pose)).magnitude()),
         "z": np.abs(away / np.maximum(np.asarray(best.std, float), 1e-9)).tolist(),
         "observable": np.asarray(best.observable).tolist(),
     }
-
-
-def _rotation(pose: sj.Pose) -> Rotation:
-    return Rotation.from_euler("ZYX", [float(pose.yaw), float(pose.pitch), float(pose.roll)])
-
-
-def _own(settings: Settings, seed: int) -> Iterator[Case]:
-    """Frames of the package's simulator, of drawn and nominal devices in turn; their keys are no test's."""
-    sonar, away = sonar_for(settings.tilt_deg), GROUND_RANGE_M[settings.tilt_deg]
-    vertices = np.asarray(target().vertices, float)
-    for number in range(settings.objects):
-        rng = np.random.default_rng([VALIDATION_SEED + seed, number])
-        yaw, lift = rng.uniform(0, 2 * math.pi), rng.uniform(0, settings.lift_m)
-        roll, pitch = np.radians(settings.lean_deg) * rng.uniform(-1, 1, 2)
-        leaning = sj.Pose(yaw=yaw, roll=roll, pitch=pitch)
-        z = lift - _rotation(leaning).apply(vertices)[:, 2].min()
-        ground, bearing = away + 0.1 * rng.uniform(-1, 1, 2), np.radians(4) * rng.uniform(-1, 1, 2)
-        x, y = ground * np.cos(bearing), ground * np.sin(bearing)
-        truth = sj.Pose(x[0], y[0], yaw, z, roll, pitch)
-        # The second sonar looks along y, from where it has the object in its view.
-        sonars = np.array([(0.0, 0.0, 0.0), (x[0] + y[1], y[0] - x[1], math.pi / 2)])
-        key = jax.random.key(VALIDATION_SEED + seed)
-        model = SensorModel.draw(key=jax.random.fold_in(key, number)) if number % 2 else SensorModel.nominal()
-        images = [
-            np.asarray(observed(target(), in_view(truth, one), sonar, model, key=jax.random.fold_in(key, k))[0])
-            for k, one in enumerate(sonars, start=10_000 + 2 * number)
-        ]
-        yield Case(np.stack(images), truth, sj.Pose(sonars[:, 0], sonars[:, 1], sonars[:, 2]), sonar)
 
 
 def _judged(settings: Settings, seed: int, geometry_known: bool) -> Iterator[Case]:
@@ -149,7 +104,7 @@ def _judged(settings: Settings, seed: int, geometry_known: bool) -> Iterator[Cas
     for frame in leaning_frames(seed, settings.objects, settings.tilt_deg, geometry_known):
         x, y, z, yaw, roll, pitch = frame.pose
         sonars = sj.Pose(frame.sonars[:, 0], frame.sonars[:, 1], frame.sonars[:, 2])
-        yield Case(frame.images, sj.Pose(x, y, yaw, z, roll, pitch), sonars, frame.sonar)
+        yield Case("target", frame.images, sj.Pose(x, y, yaw, z, roll, pitch), sonars, frame.sonar)
 
 
 def _row(name: str, views: str, found: list[dict[str, Any]]) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""How large the errors of a refined yaw are, judged by how well the frame shows the yaw.
+"""How large the errors of a refined yaw are, judged by how well the frame shows the yaw, and those of a whole pose.
 
 The curvature of the objective accounts for the residuals, but not for what the template lacks: bounces, another
 brightness of faces, a slightly wrong tilt or height. On validation frames it says little about the errors. These are
@@ -7,9 +7,13 @@ large where the score hardly falls beside the best yaw, and where much of the fr
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float
+
+from sonarjax.refine.free import NUMBERS
 
 
 class ErrorBar(NamedTuple):
@@ -50,3 +54,34 @@ ERROR_BAR = ErrorBar(offset=-9.085, map_drop=-0.7962, frame_drop=-0.4239, left_o
 def log_drop(drop: np.ndarray | float) -> np.ndarray | np.floating:
     """Logarithm of a drop [NCC] (*batch), as `ErrorBar` takes it."""
     return np.log(np.maximum(drop, 0.0) + FLAT)
+
+
+class PoseErrorBar(NamedTuple):
+    """The errors of a pose refined on a frame: `factor`² × the curvature's covariance, plus what the template lacks.
+
+    The second part is the same for every frame, and adds to the variance of each number. More frames do not reduce it.
+    """
+
+    factor: float
+    """On the standard deviations from the curvature and the residuals [1]."""
+    place: float
+    """Standard deviation added to x, y and z [m]."""
+    angle: float
+    """Standard deviation added to yaw, roll and pitch [rad]."""
+
+    def covariance(
+        self, curvature: Float[np.ndarray, "*batch free free"], observable: Bool[np.ndarray, "*batch free"],
+        free: Sequence[str],
+    ) -> Float[np.ndarray, "*batch free free"]:  # fmt: skip
+        """Covariance of the errors, from that of the `curvature`, of numbers named `free`.
+
+        A number that is not observable keeps its variance, which is that of its bounds.
+        """
+        each = np.where(observable, self.factor, 1.0)
+        added = np.array([self.angle if NUMBERS[name].unit == "rad" else self.place for name in free])
+        known = np.where(observable, added**2, 0.0)
+        return curvature * each[..., :, None] * each[..., None, :] + known[..., None] * np.eye(len(free))
+
+
+POSE_ERROR_BAR = PoseErrorBar(factor=1.0, place=0.0, angle=0.0)
+"""Fitted to the errors on validation frames (experiments/fit_pose_std.py)."""

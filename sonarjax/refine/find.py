@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.match import LeanSearch, LeanSearchConfig, SearchConfig, TargetSearch
 from sonarjax.refine.config import RefineConfig
+from sonarjax.refine.errorbar import POSE_ERROR_BAR, PoseErrorBar
 from sonarjax.refine.free import ALL, check_free
 from sonarjax.refine.pose import PoseEstimate, plan_refinement, refine_pose
 from sonarjax.refine.views import check_views, in_common
@@ -61,7 +62,7 @@ class PoseFinder:
     def __init__(
         self, mesh: Mesh, sonar: Sonar, *, free: Sequence[str] = ALL, segmenter: str | Segmenter = DEFAULT_SEGMENTER,
         search: SearchConfig = SearchConfig(), lean: LeanSearchConfig = LeanSearchConfig(),
-        refine: RefineConfig = FINDING, engine: Engine = PLAIN,
+        refine: RefineConfig = FINDING, error_bar: PoseErrorBar | None = POSE_ERROR_BAR, engine: Engine = PLAIN,
     ) -> None:  # fmt: skip
         """Prepare the search.
 
@@ -73,12 +74,14 @@ class PoseFinder:
             search: How the place is searched for.
             lean: Which leaning poses are tried.
             refine: How candidates are refined.
+            error_bar: What the errors are beyond those that the curvature tells; None for the curvature alone.
             engine: Runs the compiled functions.
 
         Raises:
             SonarjaxError: As `Recognizer` and `refine_pose`.
         """
         self.free, self.refine, self.engine = check_free(free), refine, engine
+        self.error_bar = error_bar
         self.sonar = sonar.replace(geometry_std=None)
         self.mesh = mesh
         self.segmenter = segmenter if isinstance(segmenter, Segmenter) else load_segmenter(segmenter)
@@ -113,7 +116,15 @@ class PoseFinder:
         second = self._refined(frame.image, self._perturbed(best), self._on_frame(), frame)
         found = jax.tree.map(lambda *v: np.concatenate([np.asarray(x) for x in v]), first, second)
         order = distinct(found, SAME, len(found.score))
-        return jax.tree.map(lambda v: jax.device_put(v[order]), found)
+        return self._widened(jax.tree.map(lambda v: v[order], found))
+
+    def _widened(self, found: PoseEstimate) -> PoseEstimate:
+        """The estimates (hypothesis,) with the covariance of the error bar."""
+        if self.error_bar is not None:
+            curvature, observable = np.asarray(found.covariance), np.asarray(found.observable)
+            covariance = self.error_bar.covariance(curvature, observable, self.free)
+            found = replace(found, covariance=jax.device_put(covariance.astype(np.float32)))
+        return jax.tree.map(jax.device_put, found)
 
     def _perturbed(self, poses: Pose) -> Pose:
         """Poses (hypothesis · change,) around each of `poses` (hypothesis,), with z, roll and pitch changed if
@@ -145,7 +156,7 @@ class PoseFinder:
         how: dict[str, Any] = {"free": self.free, "config": self._on_frame(), "window": self.window}
         found = refine_pose(images, self.mesh, self.sonar, start, sonar_poses=sonar_poses, engine=self.engine, **how)
         order = np.argsort(-np.asarray(found.score))
-        return jax.tree.map(lambda v: v[order], found)
+        return self._widened(jax.tree.map(lambda v: v[order], found))
 
     def _on_frame(self) -> RefineConfig:
         return replace(self.refine, blurs=FRAME_BLURS[-len(self.refine.blurs) :], template="either")

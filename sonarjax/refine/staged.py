@@ -29,7 +29,7 @@ The score on the map says too little: on frames of odd devices the right start c
 MAP_SHARE = 1 / 3
 """Weight of the map in `RefinedStart.fit`; the frame has the rest [1].
 
-On the frame alone, the template may fit a tank's wall better than the target."""
+On the frame alone, the template may fit a tank's wall better than the target (experiments/fit_start_choice.py)."""
 SAME_POSE = math.radians(5.0), 0.02
 """Poses that differ by less than this in yaw [rad] and in place [m] after the brief refinement count as one."""
 

@@ -1,4 +1,4 @@
-"""The error bar of a refined yaw: its closed form, and what it does with extremes."""
+"""The error bars of a refined yaw and of a whole pose: their closed forms, and what they do with extremes."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from sonarjax.refine import ERROR_BAR, ErrorBar
+from sonarjax.refine import ERROR_BAR, POSE_ERROR_BAR, ErrorBar, PoseErrorBar
 
 
 def test_it_is_a_product_of_powers() -> None:
@@ -31,3 +31,15 @@ def test_a_flatter_curve_and_more_left_over_mean_a_larger_error() -> None:
     least = ERROR_BAR.std(np.zeros(1), 0.2, 0.2, np.array([0.2]))
     for worse in ((0.05, 0.2, 0.2), (0.2, 0.05, 0.2), (0.2, 0.2, 0.6)):
         assert ERROR_BAR.std(np.zeros(1), *worse[:2], np.array(worse[2:])) > least
+
+
+def test_a_pose_has_the_errors_of_the_curvature_and_of_the_template() -> None:
+    curvature = np.array([[4.0, 1.0, 0.5], [1.0, 9.0, 0.0], [0.5, 0.0, 16.0]])
+    found = PoseErrorBar(2.0, 3.0, 5.0).covariance(curvature, np.array([True, True, False]), ("yaw", "x", "z"))
+    assert found == pytest.approx(np.array([[41.0, 4.0, 1.0], [4.0, 45.0, 0.0], [1.0, 0.0, 16.0]]))
+
+
+def test_nothing_known_stays_infinite() -> None:
+    nothing = np.diag([np.inf, np.inf])
+    found = POSE_ERROR_BAR.covariance(nothing, np.array([False, False]), ("yaw", "x"))
+    assert np.isinf(np.diag(found)).all() and np.isfinite(found[0, 1])
