@@ -16,6 +16,7 @@ from sonarjax.render.frame import RenderQuality, SonarFrame, Window
 from sonarjax.render.window import render_window
 from sonarjax.scene import Mesh, Pose
 from sonarjax.scene.limits import check_pose
+from sonarjax.scene.mesh import joined_reflectivity
 from sonarjax.sonar import Sonar
 
 AT_ONCE = 64
@@ -120,5 +121,6 @@ def place_together(meshes: Sequence[Mesh], poses: Pose | Sequence[Pose]) -> tupl
         front=sum(m.front for m in meshes),
         events=sum(min(m.events, len(m.crease)) for m in meshes),
         intersecting=len(meshes) > 1 or meshes[0].intersecting,
+        reflectivity=joined_reflectivity(meshes),
     )
     return joined, Pose()

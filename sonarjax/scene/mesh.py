@@ -188,6 +188,13 @@ def stack_meshes(meshes: Sequence[Mesh]) -> Mesh:
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *alike)
 
 
+def joined_reflectivity(meshes: Sequence[Mesh]) -> Float[Array, "face"] | None:
+    """The factors of all triangles (face,) of several meshes, one after the other; None if no mesh states any."""
+    if all(mesh.reflectivity is None for mesh in meshes):
+        return None
+    return jnp.concatenate([_reflectivity(mesh, mesh.n_faces) for mesh in meshes])
+
+
 def _reflectivity(mesh: Mesh, faces: int) -> Array:
     """Factor on the energy of each triangle (face,), padded with ones."""
     own = jnp.ones(mesh.n_faces) if mesh.reflectivity is None else mesh.reflectivity

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -77,3 +78,21 @@ def test_objects_are_told_apart_as_embree_does() -> None:
     # Together they are what the frame shows.
     for whole, parts in ((frame.highlight, layers.highlight), (frame.shadow, layers.shadow)):
         np.testing.assert_allclose(np.clip(parts.sum(0), 0, 1), whole, atol=0.05)
+
+
+@pytest.mark.parametrize("painted", [0, 1])
+def test_each_object_of_a_scene_keeps_its_own_reflectivity(painted: int) -> None:
+    """One object that sends back half as much, in front of the other or behind it: only its own pixels change."""
+    mesh = sj.objects.brick()
+    dim = replace(mesh, reflectivity=jnp.full(mesh.n_faces, 0.5))
+    poses = [sj.Pose(2.2, -0.3, 0.4), sj.Pose(2.5, 0.35, 1.0)]
+    meshes = [dim if k == painted else mesh for k in range(2)]
+    plain, seen = (sj.render(scene, poses, SONAR) for scene in ([mesh, mesh], meshes))
+    alone = [np.asarray(sj.render(mesh, pose, SONAR).highlight) > 0.999 for pose in poses]
+    ratio = np.asarray(seen.intensity) / np.maximum(np.asarray(plain.intensity), 1e-12)
+    for k in range(2):
+        assert alone[k].sum() > 20
+        if k == painted:  # the rest of a bin's energy comes from the floor before the object
+            assert np.median(ratio[alone[k]]) == pytest.approx(0.5, abs=1e-3) and ratio[alone[k]].max() < 0.7
+        else:
+            assert ratio[alone[k]] == pytest.approx(1.0, rel=1e-4)
