@@ -235,6 +235,4 @@ def table(report: Report) -> str:
 
 
 if __name__ == "__main__":
-    launch(
-        run, Settings, table, smoke={"count": 15, "piles": True, "walled": 2, "segmenter": "none", "tilts_deg": (20.0,)}
-    )
+    launch(run, Settings, table, smoke={"count": 8, "walled": 2, "segmenter": "none", "tilts_deg": (20.0,)})
