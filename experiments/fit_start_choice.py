@@ -49,8 +49,12 @@ class Settings:
 
 def run(settings: Settings, job: Job) -> Report:
     """A row for each set of frames and weight of the map; `possible` is what the best of all starts reaches."""
-    # Another seed than that of the frames on which the decision is fitted.
-    found = job.map(lambda name: _measured(SETS[name](job.seed + 1, settings.count), settings.segmenter), tuple(SETS), "sets")
+
+    def measure(name: str) -> list[list[tuple[float, float, float]]]:
+        # Another seed than that of the frames on which the decision is fitted.
+        return _measured(SETS[name](job.seed + 1, settings.count), settings.segmenter)
+
+    found = job.map(measure, tuple(SETS), "sets")
     rows = [_row(name, frames, share) for name, frames in found.items() for share in SHARES]
     nearest = {name: np.array([min(one[2] for one in frame) for frame in frames]) for name, frames in found.items()}
     possible = {name: float((errors > FAR_DEG[0]).mean()) for name, errors in nearest.items()}
