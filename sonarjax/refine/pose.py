@@ -44,8 +44,9 @@ class PoseEstimate:
     """Covariance of the free numbers' errors [m, rad], in the order of `free`, given the right basin.
 
     It comes from the curvature and the residuals of each beam. On labels of a render the standard deviations are as
-    large as the errors; errors that neighbouring beams share make them too small. A number that is not observable has
-    the covariance of its bounds, which also adds to the errors of the others. Infinite if nothing could be compared.
+    large as the errors; on a sonar's frames they are too small, and `PoseFinder` widens them. A number that is not
+    observable has the covariance of its bounds, which also adds to the errors of the others. Infinite if nothing could
+    be compared.
     """
     score: Float[Array, "*batch"]
     """NCC (eq. 4) of the refined template, over its own box with the bank's margin; 0 if there is no template."""

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import sonarjax as sj
-from sonarjax.refine import in_view
+from sonarjax.refine import POSE_ERROR_BAR, in_view
 from sonarjax.refine.find import distinct, kept
 
 SONAR = sj.Sonar.preset("didson-hf", tilt=math.radians(20.0), height=0.9)
@@ -35,6 +35,9 @@ def test_a_leaning_object_is_found_from_nothing():
     best = jax.tree.map(lambda v: v[0], alone[0].pose)
     assert turned_deg(best) < 1.0 and away(best) < 5e-3
     assert (np.diff(np.asarray(alone[0].score)) <= 1e-6).all()
+    plain = sj.PoseFinder(MESH, SONAR, segmenter="none", lean=lean, error_bar=None)(images[0])
+    widened = POSE_ERROR_BAR.covariance(np.asarray(plain.covariance), np.asarray(plain.observable), plain.free)
+    np.testing.assert_allclose(alone[0].covariance, widened, rtol=1e-4, atol=1e-12)
     both = finder.views(images, sj.Pose(*sonars.T), alone)
     best = jax.tree.map(lambda v: v[0], both.pose)
     assert turned_deg(best) < 0.5 and away(best) < 2e-3
