@@ -73,9 +73,13 @@ class PoseErrorBar(NamedTuple):
         self, curvature: Float[np.ndarray, "*batch free free"], observable: Bool[np.ndarray, "*batch free"],
         free: Sequence[str],
     ) -> Float[np.ndarray, "*batch free free"]:  # fmt: skip
-        """Covariance of the errors, from that of the `curvature`, of numbers named `free`.
+        """Covariance (*batch, free, free) of the errors [m, rad].
 
-        A number that is not observable keeps its variance, which is that of its bounds.
+        Args:
+            curvature: The covariance (*batch, free, free) from the curvature [m, rad].
+            observable: Which numbers are observable (*batch, free). The others keep their variance, which is that of
+                their bounds.
+            free: The numbers' names, in their order.
         """
         each = np.where(observable, self.factor, 1.0)
         added = np.array([self.angle if NUMBERS[name].unit == "rad" else self.place for name in free])
