@@ -73,11 +73,11 @@ class PoseErrorBar(NamedTuple):
         self, curvature: Float[np.ndarray, "*batch free free"], observable: Bool[np.ndarray, "*batch free"],
         free: Sequence[str],
     ) -> Float[np.ndarray, "*batch free free"]:  # fmt: skip
-        """Covariance (*batch, free, free) of the errors [m, rad].
+        """Covariance (free, free) of the errors [m, rad], for each pose of the batch.
 
         Args:
-            curvature: The covariance (*batch, free, free) from the curvature [m, rad].
-            observable: Which numbers are observable (*batch, free). The others keep their variance, which is that of
+            curvature: The covariance (free, free) from the curvature [m, rad].
+            observable: Which numbers (free,) are observable. The others keep their variance, which is that of
                 their bounds.
             free: The numbers' names, in their order.
         """
