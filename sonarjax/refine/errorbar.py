@@ -87,5 +87,5 @@ class PoseErrorBar(NamedTuple):
         return curvature * each[..., :, None] * each[..., None, :] + known[..., None] * np.eye(len(free))
 
 
-POSE_ERROR_BAR = PoseErrorBar(factor=1.0, place=0.0, angle=0.0)
+POSE_ERROR_BAR = PoseErrorBar(factor=10.17, place=0.004375, angle=0.0)
 """Fitted to the errors on validation frames (experiments/fit_pose_std.py)."""
