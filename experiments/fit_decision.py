@@ -4,7 +4,8 @@ python -m experiments.fit_decision [--segmenter FILE --into FILE] [--preset smok
 
 A logistic regression weighs the evidence of `sonarjax.refine.evidence`, its AUC also given with each object left out of
 the fit in turn; one half is its threshold. `yaw_std` is corrected so that the errors are most likely. Validation frames
-show other objects and other devices than any test: see `experiments.common.validation`. What is found stands in the
+show other objects and other devices than any test: see `experiments.common.validation`. `--piles` and `--walled` fit to
+more objects and to frames with walls in view, which did not carry over (docs/outside.md). What is found stands in the
 weights file's metadata, `sonarjax.segment.rule` and `sonarjax.refine.errorbar`.
 """
 
@@ -22,6 +23,7 @@ import sonarjax as sj
 from experiments.common.drawn_piles import pile_scenes
 from experiments.common.frames import TILTS_DEG
 from experiments.common.launch import Report, launch
+from experiments.common.likelihood import log_widening, unlikeliness
 from experiments.common.metrics import columns, yaw_error_deg
 from experiments.common.recognizers import recognizers
 from experiments.common.runs import Job
@@ -39,12 +41,8 @@ RIDGE = 1.0
 """Weight of the squared coefficients of standardised evidence in the logistic loss [1]."""
 ASTRAY_DEG = 30.0
 """Yaw errors beyond it are of another hypothesis: no error bar is fitted to them."""
-TAIL = 4.0
-"""An error of more standard deviations than this counts as this many [1]."""
 BAR_RIDGE = 2.0
 """Weight of the squared coefficients of what error bars are made of, standardised [1]."""
-WITHIN = (0.683, 0.954)
-"""Shares of a normal distribution within 1 and 2 standard deviations [1]."""
 HEADS = {
     "frames": "frames of", "count": "count", "auc": "AUC", "left_out": "AUC, object left out",
     "bank": "AUC of score_bank", "refined": "AUC of score_refined",
@@ -156,26 +154,24 @@ def fit_logistic(evidence: np.ndarray, own: np.ndarray) -> tuple[Callable[[Any],
 
 
 def fit_error_bar(values: Measured) -> ErrorBar:
-    """The error bar under which the targets' errors are most likely, for a normal distribution cut at `TAIL`.
+    """The error bar under which the targets' errors are most likely, scaled by `log_widening`.
 
-    A few frames go astray, and would widen all others' error bars. Errors have longer tails than a normal distribution:
-    bars that hold 68 % of them within 1 standard deviation hold less than 95 % within 2. So the bars are scaled to lie
-    halfway (geometric mean) between those that are right at 68 % and those that are right at 95 %.
+    A few frames go astray, and would widen all others' error bars: they are left out.
     """
     near = values.own & (values.error_deg <= ASTRAY_DEG) & np.isfinite(values.std_deg)
     error, known = np.radians(values.error_deg[near]), _known(values)[near]
     mean, spread = known.mean(0), known.std(0) + 1e-9
     scaled = (known - mean) / spread
 
+    def std(beta: np.ndarray) -> np.ndarray:
+        return np.exp(beta[0] + scaled @ beta[1:])
+
     def loss(beta: np.ndarray) -> float:
-        log_std = beta[0] + scaled @ beta[1:]
-        likely = (log_std + np.minimum(error / np.exp(log_std), TAIL) ** 2 / 2).sum()
-        return float(likely + BAR_RIDGE * (beta[1:] ** 2).sum() / 2)
+        return unlikeliness(error, std(beta)) + BAR_RIDGE * float((beta[1:] ** 2).sum()) / 2
 
     beta = minimize(loss, [np.log(np.median(error)), *np.zeros(known.shape[1])]).x
-    one, two = np.quantile(error / np.exp(beta[0] + scaled @ beta[1:]), WITHIN)
     weights = beta[1:] / spread
-    offset = beta[0] - weights @ mean + np.log(one * two / 2) / 2
+    offset = beta[0] - weights @ mean + log_widening(error, std(beta))
     return ErrorBar(float(offset), *(float(w) for w in weights))
 
 

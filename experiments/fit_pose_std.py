@@ -24,6 +24,7 @@ import sonarjax as sj
 from experiments.common.engine import engine
 from experiments.common.launch import Report, launch
 from experiments.common.leaning import Leaning, errors, is_angle, sonar_rows, validation_leaning_cases
+from experiments.common.likelihood import log_widening, unlikeliness
 from experiments.common.metrics import columns
 from experiments.common.runs import Job
 from experiments.common.validation import scenes
@@ -31,10 +32,6 @@ from sonarjax.refine import PoseErrorBar, PoseFinder, in_view
 
 ASTRAY_RAD, ASTRAY_M = math.radians(20.0), 0.1
 """A pose with an error beyond one of these is another hypothesis: no error bar is fitted to it."""
-TAIL = 4.0
-"""An error of more standard deviations than this counts as this many [1]."""
-WITHIN = (0.683, 0.954)
-"""Shares of a normal distribution within 1 and 2 standard deviations [1]."""
 HEADS = {
     "numbers": "numbers", "views": "views", "count": "count", "rms": "RMS error [cm, °]",
     "curvature_1": "within 1 std, curvature alone", "curvature_2": "within 2",
@@ -136,22 +133,16 @@ def _numbers(poses: list[dict[str, Any]]) -> Measured:
 
 
 def fit_pose_error_bar(values: Measured) -> PoseErrorBar:
-    """The error bar under which the errors are most likely, for a normal distribution cut at `TAIL`.
-
-    As the errors have longer tails than that, it is scaled to lie halfway (geometric mean) between the one that is
-    right at 68 % and the one that is right at 95 %.
-    """
+    """The error bar under which the errors are most likely, scaled by `log_widening`."""
 
     def bar(beta: np.ndarray) -> PoseErrorBar:
         return PoseErrorBar(*(float(v) for v in np.exp(beta)))
 
     def loss(beta: np.ndarray) -> float:
-        std = _std(bar(beta), values)
-        return float((np.log(std) + np.minimum(values.error / std, TAIL) ** 2 / 2).sum())
+        return unlikeliness(values.error, _std(bar(beta), values))
 
     beta = minimize(loss, np.log([2.0, 0.002, math.radians(1.0)]), method="Nelder-Mead", options={"maxiter": 2000}).x
-    one, two = np.quantile(values.error / _std(bar(beta), values), WITHIN)
-    return bar(beta + np.log(one * two / 2) / 2)
+    return bar(beta + log_widening(values.error, _std(bar(beta), values)))
 
 
 def _std(bar: PoseErrorBar, values: Measured) -> np.ndarray:

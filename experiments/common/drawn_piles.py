@@ -10,13 +10,11 @@ from collections.abc import Sequence
 from functools import cache
 from typing import NamedTuple
 
-import jax
 import numpy as np
 
 import sonarjax as sj
 from experiments.common.frames import VALIDATION_SEED
-from experiments.common.sets import mirrored
-from experiments.common.validation import Scene
+from experiments.common.validation import Scene, padded_scenes
 from sonarjax.scene.objects import Arrays, box, cylinder_arrays, join
 
 COUNT = 10
@@ -57,13 +55,7 @@ class Part(NamedTuple):
 @cache
 def pile_scenes() -> dict[str, Scene]:
     """The piles by name; all of their meshes are padded alike, and share compiled code."""
-    meshes: list[sj.Mesh] = []
-    for number in range(COUNT):
-        target, other = _pile(number)
-        meshes += [target, other, mirrored(target)]
-    stacked = sj.stack_meshes(meshes)
-    alike = [jax.tree.map(lambda v, k=k: v[k], stacked) for k in range(len(meshes))]
-    return {f"pile {n + 1}": Scene(*alike[3 * n : 3 * n + 3]) for n in range(COUNT)}
+    return padded_scenes({f"pile {number + 1}": _pile(number) for number in range(COUNT)})
 
 
 def _pile(number: int) -> tuple[sj.Mesh, sj.Mesh]:

@@ -16,6 +16,7 @@ from experiments.common.frames import GROUND_RANGE_M, VALIDATION_SEED, observed,
 from experiments.common.sets import target
 from experiments.common.validation import ODD, SEVERITIES, scenes
 from sonarjax.refine import in_view
+from sonarjax.refine.free import NUMBERS
 from sonarjax.sensor import SensorModel
 
 AHEAD_M, BEARING_DEG = 0.1, 4.0
@@ -88,7 +89,7 @@ def errors(truth: sj.Pose, found: sj.PoseEstimate) -> np.ndarray:
 
 def is_angle(free: Sequence[str]) -> np.ndarray:
     """Which of the free numbers (free,) are angles."""
-    return np.array([name in ("yaw", "roll", "pitch") for name in free])
+    return np.array([NUMBERS[name].unit == "rad" for name in free])
 
 
 def _placed(mesh: sj.Mesh, how: Leaning, rng: np.random.Generator) -> tuple[sj.Pose, np.ndarray]:

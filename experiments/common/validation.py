@@ -83,10 +83,15 @@ class Scene(NamedTuple):
 @cache
 def scenes() -> dict[str, Scene]:
     """The objects by name."""
-    meshes = [mesh for target, other in bare_objects().values() for mesh in (target, other, mirrored(target))]
+    return padded_scenes(bare_objects())
+
+
+def padded_scenes(objects: Mapping[str, tuple[sj.Mesh, sj.Mesh]]) -> dict[str, Scene]:
+    """The scenes of objects, each with the other one that is much like it, all padded alike."""
+    meshes = [mesh for target, other in objects.values() for mesh in (target, other, mirrored(target))]
     stacked = sj.stack_meshes(meshes)
     alike = [jax.tree.map(lambda v, k=k: v[k], stacked) for k in range(len(meshes))]
-    return {name: Scene(*alike[3 * k : 3 * k + 3]) for k, name in enumerate(bare_objects())}
+    return {name: Scene(*alike[3 * k : 3 * k + 3]) for k, name in enumerate(objects)}
 
 
 def bare_objects() -> dict[str, tuple[sj.Mesh, sj.Mesh]]:
