@@ -120,11 +120,12 @@ class PoseFinder:
 
     def _widened(self, found: PoseEstimate) -> PoseEstimate:
         """The estimates (hypothesis,) with the covariance of the error bar."""
-        if self.error_bar is not None:
-            curvature, observable = np.asarray(found.covariance), np.asarray(found.observable)
-            covariance = self.error_bar.covariance(curvature, observable, self.free)
-            found = replace(found, covariance=jax.device_put(covariance.astype(np.float32)))
-        return jax.tree.map(jax.device_put, found)
+        found = jax.tree.map(jax.device_put, found)
+        if self.error_bar is None:
+            return found
+        curvature, observable = np.asarray(found.covariance), np.asarray(found.observable)
+        covariance = self.error_bar.covariance(curvature, observable, self.free)
+        return replace(found, covariance=jax.device_put(covariance.astype(np.float32)))
 
     def _perturbed(self, poses: Pose) -> Pose:
         """Poses (hypothesis · change,) around each of `poses` (hypothesis,), with z, roll and pitch changed if
