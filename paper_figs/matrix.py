@@ -31,7 +31,7 @@ def draw_blocks(found: list[Block], limit: float) -> Figure:
     for row, (kind, said, ours, shown) in zip(axes, found, strict=True):
         _matrix(row[0], said, said, kind)
         _matrix(row[1], ours, shown, kind)
-    axes[0, 0].set_title("paper")
+    axes[0, 0].set_title("published")
     axes[0, 1].set_title(f"ours (Otsu's threshold {limit:.3f})")
     for ax in axes[-1]:
         ax.set_xlabel("template")

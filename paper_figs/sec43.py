@@ -21,7 +21,7 @@ EXPERIMENTS = ("reproduce_paper",)
 def draw(run: Run) -> Figure:
     """PSNR left, IoU right."""
     rows = run.report["segmenters"]
-    names = ["paper", *(row["segmenter"] for row in rows)]
+    names = ["published", *(row["segmenter"] for row in rows)]
     figure = style.sheet(style.TWO_COLUMNS, 2.7)
     left, right = figure.subplots(1, 2, width_ratios=(1.35, 1))
     before, after = ([said, *(row[key] for row in rows)]

@@ -46,7 +46,7 @@ def _accuracy(ax: Axes, run: Run) -> None:
         for text, color in zip(ax.bar_label(bars, [f"{label}: {value:.3f}" for value in values],
                                             label_type="center", rotation=90), colors, strict=True):  # fmt: skip
             text.set_color("white" if alpha == 1 and color == style.BLUE else "black")
-    ax.axhline(paper.ACCURACY, color=style.PAPER, linestyle="--", label=f"paper: {paper.ACCURACY:.4f}")
+    ax.axhline(paper.ACCURACY, color=style.PAPER, linestyle="--", label=f"published: {paper.ACCURACY:.4f}")
     ax.legend(loc="upper right")
     ax.set(title="accuracy", ylim=(0, 1.19), yticks=np.arange(0, 1.01, 0.2))
     style.name_columns(ax, place, [row["segmenter"] for row in rows])

@@ -32,21 +32,39 @@ class ClusterEngine(CpuEngine):
     """An engine that streams over the workers of a cluster; everything else runs here, as with `CpuEngine`."""
 
     def __init__(self, client: Any) -> None:
-        """Use `client`, a distributed.Client."""
+        """Stream over the workers of a Dask client.
+
+        Args:
+            client: A `distributed.Client`.
+        """
         super().__init__()
         self.client = client
 
     def threads(self) -> int:
-        """Number of threads of all present workers."""
+        """Count the threads of all present workers.
+
+        Returns:
+            Number of threads.
+        """
         return sum(self.client.nthreads().values())
 
     def stream(self, function: Callable[[Any, Any, Engine], Any], shared: Any, items: Iterable[Any]) -> Iterator[Any]:
-        """As `Engine.stream`. The first item runs alone, because its worker compiles for the others on its machine.
+        """Yield the result for each item, computed by the workers of the cluster.
 
-        Raises whatever `function` raises.
+        The first item runs alone, because its worker compiles for the others on its machine.
+
+        Args:
+            function: Called as `function(shared, item, engine)` on a worker, with the worker's own engine. It must be
+                defined in a module.
+            shared: First argument of every call.
+            items: Second argument of each call. They are read as they are needed, a few in advance.
+
+        Yields:
+            The results, in the order of the items.
 
         Raises:
-            SonarjaxError: The scheduler is gone, or too many workers died at one item.
+            SonarjaxError: The scheduler is gone or dropped the work, or too many workers died at one item.
+            Exception: Whatever `function` raises.
         """
         from distributed import CancelledError, KilledWorker
 
@@ -95,11 +113,14 @@ def _own_engine() -> CpuEngine:
 
 @contextmanager
 def connect(address: str) -> Iterator[ClusterEngine]:
-    """Connect to the cluster at `address` and give an engine on it; a context manager.
+    """Connect to a Dask cluster for the length of a `with` block.
 
     Args:
         address: The address of a scheduler, the path of its file (*.json), or `local[:N]`, which starts N worker
             processes (default: one for each core) and ends them afterwards.
+
+    Yields:
+        An engine that streams over the workers of the cluster.
 
     Raises:
         SonarjaxError: `address` is none of these, nobody answers there, or the package `distributed` is missing.

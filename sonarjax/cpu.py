@@ -51,9 +51,10 @@ DIGEST_BYTES = 32
 
 
 def tune() -> Path | None:
-    """Set this process up for a CPU. Call it before JAX computes anything. Never raises.
+    """Set this process up for a CPU.
 
-    `SONARJAX_NO_CACHE=1` turns the compilation cache off, and `SONARJAX_CACHE_DIR` moves it.
+    Call it before JAX computes anything. It never raises. In the environment, `SONARJAX_NO_CACHE=1` turns the
+    compilation cache off, and `SONARJAX_CACHE_DIR` moves it.
 
     Returns:
         The cache folder; None if there is no cache.
@@ -95,12 +96,15 @@ def enable_compilation_cache() -> Path | None:
 
 
 def keep_memory() -> bool:
-    """Make this process keep the memory that it frees. Returns True if that is possible (glibc).
+    """Make this process keep the memory that it frees.
 
     This is for training. XLA's CPU backend allocates the buffers of each step anew (70 MB at width 16). The C library
     returns blocks of that size to the kernel, which zeroes them before it hands them out again: this can take a third
     of a step. Call it before the first step. Large pages help a little more, but can only be requested when a program
     starts: GLIBC_TUNABLES=glibc.malloc.hugetlb=1.
+
+    Returns:
+        True if that is possible, as with glibc.
     """
     if not sys.platform.startswith("linux"):
         return False
@@ -115,7 +119,11 @@ class CpuEngine(Engine):
     """An engine with a thread for each core, and with programs that are traced once and then read from disk."""
 
     def __init__(self, folder: Path | None = None) -> None:
-        """Store traced programs in `folder`, by default next to the compilation cache if there is one."""
+        """Choose where traced programs are stored.
+
+        Args:
+            folder: Folder of the programs; None means next to the compilation cache, or nowhere if there is no cache.
+        """
         compiled = getattr(jax.config, _CACHE)
         self._folder = folder or (Path(compiled) / "programs" if compiled else None)
         self._programs: dict[Any, Future[Any]] = {}
@@ -124,17 +132,34 @@ class CpuEngine(Engine):
         _register_results()
 
     def run(self, function: Callable[..., Any], *args: Any, **static: Any) -> Any:
-        """As `Engine.run`. A program is compiled only once, however many threads ask for it."""
+        """Call a function under `jax.jit`, with its traced program from disk if an earlier process stored it.
+
+        A program is compiled only once, however many threads ask for it. Without a folder, or if an argument is traced,
+        this is a plain call.
+
+        Args:
+            function: The function.
+            *args: Its arguments.
+            **static: Its static arguments, by name.
+
+        Returns:
+            What the function returns.
+        """
         if self._folder is None or any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(args)):
             return function(*args, **static)
         leaves, program = self._program(function, args, static)
         return program.result()(leaves)
 
     def prepare(self, function: Callable[..., Any], *args: Any, **static: Any) -> None:
-        """Trace now for arguments of these shapes, and compile in the background.
+        """Trace a function now for arguments of these shapes, and compile it in the background.
 
         Tracing in the background as well would be slower: Python traces on one thread at a time, while the compiler
-        runs without Python.
+        runs without Python. Without a folder, nothing is done.
+
+        Args:
+            function: The function under `jax.jit` that `run` will call.
+            *args: Arguments of the same shapes and types.
+            **static: Its static arguments, by name.
         """
         if self._folder is not None:
             self._program(function, args, static, wait=False)
@@ -174,7 +199,17 @@ class CpuEngine(Engine):
             program.set_exception(error)
 
     def map(self, function: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
-        """As `Engine.map`, with a thread for each core; each thread waits until its results are computed."""
+        """Call a function for each item, with a thread for each core.
+
+        Each thread waits until its results are computed. A `map` inside such a thread takes its items one by one.
+
+        Args:
+            function: Called with an item.
+            items: The items.
+
+        Returns:
+            The results, in the order of the items.
+        """
         items = list(items)
         if len(items) < 2 or cores() < 2 or getattr(self._busy, "inside", False):
             return [function(item) for item in items]
@@ -187,8 +222,17 @@ class CpuEngine(Engine):
             return list(pool.map(one, items))
 
     def stream(self, function: Callable[[Any, Any, Engine], Any], shared: Any, items: Iterable[Any]) -> Iterator[Any]:
-        """As `Engine.stream`, with a thread for each core. The first item runs alone, because it compiles for
-        the others.
+        """Yield the result for each item, computed by a thread for each core.
+
+        The first item runs alone, because it compiles for the others.
+
+        Args:
+            function: Called as `function(shared, item, engine)`, here with this engine.
+            shared: First argument of every call.
+            items: Second argument of each call. They are read as they are needed, a few in advance.
+
+        Yields:
+            The results, in the order of the items.
         """
         rest = iter(items)
         for first in rest:
@@ -206,12 +250,20 @@ class CpuEngine(Engine):
 
 
 def usual_engine() -> Engine:
-    """What entry points compute with: a `CpuEngine` on a CPU, plain JAX on an accelerator."""
+    """Make the engine with which entry points compute.
+
+    Returns:
+        A `CpuEngine` on a CPU, an `Engine` (plain JAX) on an accelerator.
+    """
     return CpuEngine() if jax.default_backend() == "cpu" else Engine()
 
 
 def cores() -> int:
-    """Number of cores that this process may use."""
+    """Count the cores that this process may use.
+
+    Returns:
+        Number of cores.
+    """
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

@@ -35,10 +35,18 @@ class Box(NamedTuple):
 def cut_box(
     image: Float[Array, "range beam"], box: Box, shape: tuple[int, int] = PATCH
 ) -> Float[Array, "patch_range patch_beam"]:
-    """Resample a part of an image (range, beam) to `shape` (patch_range, patch_beam).
+    """Resample a part of a frame to the shape of a crop.
 
     Interpolation is linear; where the image shrinks, pixels are averaged. Values outside the frame are zero. The
     function is differentiable in the image and in the box, and works under jit and vmap.
+
+    Args:
+        image: Frame (range, beam).
+        box: The part to cut out.
+        shape: Number of range bins and beams of the crop.
+
+    Returns:
+        Crop (patch_range, patch_beam).
     """
     scale = jnp.stack([shape[0] / jnp.asarray(box.rows), shape[1] / jnp.asarray(box.columns)])
     corner = jnp.stack([jnp.asarray(box.top, jnp.float32), jnp.asarray(box.left, jnp.float32)])
@@ -48,9 +56,16 @@ def cut_box(
 def paste_patch(
     patch: Float[Array, "patch_range patch_beam"], box: Box, shape: tuple[int, int], outside: float = 0.5
 ) -> Float[Array, "range beam"]:
-    """Put a crop (patch_range, patch_beam) back into a frame of `shape` (range, beam): the inverse of `cut_box`.
+    """Put a crop back into a frame: the inverse of `cut_box`.
 
-    Pixels outside the box are set to `outside`, by default the grey of background.
+    Args:
+        patch: Crop (patch_range, patch_beam).
+        box: The part of the frame that the crop covers.
+        shape: Number of range bins and beams of the frame.
+        outside: Value of the pixels outside the box; the default is the grey of background.
+
+    Returns:
+        Frame (range, beam).
     """
     rows, columns = patch.shape
     scale = jnp.stack([jnp.asarray(box.rows) / rows, jnp.asarray(box.columns) / columns])

@@ -13,22 +13,52 @@ class Engine:
     """Plain JAX: functions compile when they are first called, and items are processed one after another."""
 
     def run(self, function: Callable[..., Any], *args: Any, **static: Any) -> Any:
-        """Call `function(*args, **static)`, a function under `jax.jit` whose static arguments are passed by name."""
+        """Call a function under `jax.jit`.
+
+        Args:
+            function: The function.
+            *args: Its arguments.
+            **static: Its static arguments, by name.
+
+        Returns:
+            What the function returns.
+        """
         return function(*args, **static)
 
     def prepare(self, function: Callable[..., Any], *args: Any, **static: Any) -> None:
-        """Announce that `run` will be called with arguments of these shapes. This engine does nothing about it."""
+        """Announce that `run` will be called with arguments of these shapes.
+
+        This engine does nothing about it.
+
+        Args:
+            function: The function under `jax.jit` that `run` will call.
+            *args: Arguments of the same shapes and types.
+            **static: Its static arguments, by name.
+        """
 
     def map(self, function: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
-        """Compute [function(item) for item in items]."""
+        """Call a function for each item.
+
+        Args:
+            function: Called with an item.
+            items: The items.
+
+        Returns:
+            The results, in the order of the items.
+        """
         return [function(item) for item in items]
 
     def stream(self, function: Callable[[Any, Any, Engine], Any], shared: Any, items: Iterable[Any]) -> Iterator[Any]:
-        """Yield `function(shared, item, engine)` for each item in order, few at a time, so that memory does not grow
-        with them.
+        """Yield the result for each item, few at a time, so that memory does not grow with the number of items.
 
-        `function` must be defined in a module, because an engine may run it in another process. `engine` is then that
-        process's own.
+        Args:
+            function: Called as `function(shared, item, engine)`. It must be defined in a module, because an engine may
+                run it in another process. `engine` is then that process's own.
+            shared: First argument of every call.
+            items: Second argument of each call.
+
+        Yields:
+            The results, in the order of the items.
         """
         return (function(shared, item, self) for item in items)
 

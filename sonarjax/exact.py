@@ -16,7 +16,16 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def full_precision(function: F) -> F:
-    """Make `function` multiply matrices in full float32, and so what JAX derives from it."""
+    """Make a function multiply matrices in full float32.
+
+    What JAX derives from the function, such as its gradient, does so too.
+
+    Args:
+        function: The function.
+
+    Returns:
+        The same function in full float32.
+    """
 
     @wraps(function)
     def exact(*args: Any, **kwargs: Any) -> Any:

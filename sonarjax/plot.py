@@ -51,6 +51,9 @@ def plot_polar(
         vmin: Value of the darkest colour; None for the image's smallest.
         vmax: Value of the brightest colour; None for the image's largest.
 
+    Returns:
+        What was drawn, for a colour bar.
+
     Raises:
         SonarjaxError: The image does not have the sonar's shape.
     """
@@ -73,8 +76,21 @@ def plot_fan(
 ) -> QuadMesh:
     """Draw an image (range, beam) as a true fan in metres, port on the left, the sonar below at (0, 0).
 
-    Lengths are slant ranges: forward is range · cos(azimuth), lateral is range · sin(azimuth) [m]. Arguments and errors
-    as in `plot_polar`.
+    Lengths are slant ranges: forward is range · cos(azimuth), lateral is range · sin(azimuth) [m].
+
+    Args:
+        ax: Axes to draw into.
+        image: The image (range, beam). NaN is shown as unlit.
+        sonar: Gives the axes.
+        cmap: Name of the colour map.
+        vmin: Value of the darkest colour; None for the image's smallest.
+        vmax: Value of the brightest colour; None for the image's largest.
+
+    Returns:
+        What was drawn, for a colour bar.
+
+    Raises:
+        SonarjaxError: The image does not have the sonar's shape.
     """
     lateral, forward = _fan(*np.meshgrid(_azimuth_edges(sonar), _range_edges(sonar)))
     mesh = _mesh(ax, lateral, forward, image, sonar, cmap, vmin, vmax)
@@ -91,6 +107,13 @@ def plot_frame(frame: SonarFrame, sonar: Sonar) -> Figure:
     """Draw a rendered frame: its intensity [dB] above, its semantic map below, each in polar and fan view.
 
     Floor that is not insonified is blue.
+
+    Args:
+        frame: The frame.
+        sonar: Gives the axes.
+
+    Returns:
+        The figure.
 
     Raises:
         SonarjaxError: The frame does not have the sonar's shape.
@@ -116,10 +139,23 @@ def plot_frame(frame: SonarFrame, sonar: Sonar) -> Figure:
 
 
 def plot_calibration(images: Sequence[Any], before: Sequence[Any], after: Sequence[Any], sonar: Sonar) -> Figure:
-    """Draw frames (range, beam) with outlines of the target's templates: above those `before`, below those `after`.
+    """Draw frames with outlines of the target's templates: nominal geometry above, fitted geometry below.
 
-    The three lists have the same length; axes are those of `sonar`.
+    Args:
+        images: Frames (range, beam).
+        before, after: Templates (range, beam) of the nominal and of the fitted sonar, one for each frame.
+        sonar: Gives the axes.
+
+    Returns:
+        The figure.
+
+    Raises:
+        SonarjaxError: There is not one template of each kind for each frame, a frame does not have the sonar's shape,
+            or a template is larger.
     """
+    if not len(images) == len(before) == len(after):
+        counts = f"{len(images)}, {len(before)} and {len(after)}"
+        raise SonarjaxError(f"plot_calibration: expected as many templates of each kind as frames, got {counts}")
     figure = Figure(figsize=(3.2 * max(len(images), 2), 8.0), layout="constrained")
     for row, (title, templates) in enumerate((("nominal", before), ("fitted", after))):
         for column, (image, template) in enumerate(zip(images, templates, strict=True)):
@@ -137,8 +173,13 @@ def plot_scores(
     *,
     threshold: float | int | None = None,
 ) -> None:
-    """Draw the correlation `scores` (yaw,) over `yaws` (yaw,) [rad], shown in degrees from 0 to 360; the best
-    is marked.
+    """Draw correlation scores over yaw, shown in degrees from 0 to 360; the best score is marked.
+
+    Args:
+        ax: Axes to draw into.
+        yaws: Yaws of the templates (yaw,) [rad].
+        scores: Correlation at each yaw (yaw,).
+        threshold: Score at which a line is drawn; None for no line.
     """
     degrees, values = np.degrees(np.asarray(yaws, np.float64)) % 360.0, np.asarray(scores)
     order = np.argsort(degrees)
@@ -193,7 +234,14 @@ def draw_outline(
 
 
 def save_figure(figure: Figure, path: str | os.PathLike[str], dpi: float | int = 150) -> None:
-    """Write a figure in one step, as PDF or SVG if `path` ends so, else as PNG. The same figure gives the same PNG.
+    """Write a figure to a file in one step.
+
+    The same figure gives the same PNG.
+
+    Args:
+        figure: The figure.
+        path: The file; PDF or SVG if its name ends so, else PNG.
+        dpi: Resolution [dots per inch].
 
     Raises:
         SonarjaxError: The file cannot be written. What was at `path` is then unchanged.
@@ -205,8 +253,14 @@ def save_figure(figure: Figure, path: str | os.PathLike[str], dpi: float | int =
 
 
 def decibel(intensity: Real[np.ndarray, "range beam"], floor: float = -60.0) -> Float[np.ndarray, "range beam"]:
-    """Intensity (range, beam) in dB relative to its maximum, at least `floor` [dB]; `floor` everywhere if the
-    maximum is 0.
+    """Convert intensity to decibels relative to its maximum.
+
+    Args:
+        intensity: Intensity (range, beam), not in decibels.
+        floor: Least level [dB]; lower levels are raised to it.
+
+    Returns:
+        Level (range, beam) [dB], 0 at the maximum; `floor` everywhere if the maximum is 0.
     """
     peak = float(np.max(intensity))
     if not peak > 0:

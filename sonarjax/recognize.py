@@ -41,7 +41,7 @@ from sonarjax.refine import (
 from sonarjax.render import WindowSize
 from sonarjax.scene import Mesh, Pose
 from sonarjax.segment import DEFAULT_SEGMENTER, IdentificationRule, Segmenter, load_segmenter
-from sonarjax.sonar import Sonar
+from sonarjax.sonar import Sonar, checked_image
 
 NEARER = 0.15
 """Refinement's usual window is planned for this quantile of the distances; farther objects need no larger one."""
@@ -120,18 +120,21 @@ class Recognizer:
 
         Args:
             image: Grey frame (range, beam).
-            mask: True (range, beam) where a pixel was measured.
+            mask: True (range, beam) where a pixel was measured; None means everywhere.
             semantic: A map of your own (range, beam) instead of the segmenter's: shadow 0, background 0.5, highlight 1.
                 It needs a `threshold`.
             threshold: Replaces the segmenter's own, which comes from validation frames.
             starts: Single poses [m, rad] at which the best target is expected. They are refined beside the hypotheses
                 that matching finds.
 
+        Returns:
+            What was found: the best target, its score and its yaw [rad].
+
         Raises:
             SonarjaxError: A shape does not fit the sonar, a value is not finite, or a threshold is needed.
         """
-        image, mask = _checked(image, mask, self.sonar)
-        given = None if semantic is None else _checked(semantic, mask, self.sonar, "semantic")[0]
+        image, mask = checked_image(image, mask, self.sonar)
+        given = None if semantic is None else checked_image(semantic, mask, self.sonar, "semantic")[0]
         least = self._threshold(threshold, given is not None)
         self._prepare()
         rule = self.segmenter.rule if given is None and self.refine is not None else None
@@ -165,12 +168,17 @@ class Recognizer:
     def stream(
         self, images: Iterable[Any], mask: Any = None, *, threshold: float | None = None
     ) -> Iterator[Recognition]:
-        """Recognize frames in their order. The engine decides how many at once: a `CpuEngine` takes one for each core.
+        """Recognize frames in their order.
+
+        The engine decides how many at once: a `CpuEngine` takes one for each core.
 
         Args:
             images: Grey frames (range, beam). They are read as they are needed, a few in advance.
-            mask: True (range, beam) where a pixel was measured, the same for all frames.
-            threshold: As in a call.
+            mask: True (range, beam) where a pixel was measured, the same for all frames; None means everywhere.
+            threshold: Replaces the segmenter's own.
+
+        Yields:
+            What was found in each frame.
 
         Raises:
             SonarjaxError: As a call does, when the frame's turn comes.
@@ -178,7 +186,10 @@ class Recognizer:
         return self.engine.stream(_recognize_one, (self, mask, threshold), images)
 
     def prepare(self) -> None:
-        """Render the coarse bank of several targets now, so that the first frame need not wait for it."""
+        """Render the coarse bank of several targets now, so that the first frame need not wait for it.
+
+        With a single target there is no such bank, and nothing is done.
+        """
         if self.first_look is not None:
             self.first_look.prepare()
 
@@ -301,14 +312,29 @@ def recognize(
     mask: Any = None,
     engine: Engine = PLAIN,
 ) -> Recognition:
-    """Find one target in one frame (range, beam), and its yaw [rad], by one call of a new `Recognizer`.
+    """Find one target in one frame, and its yaw, by one call of a new `Recognizer`.
 
-    The arguments are those of `Recognizer`. For several frames keep a `Recognizer`, which renders its banks only once.
+    For several frames keep a `Recognizer`, which renders its banks only once.
+
+    Args:
+        image: Grey frame (range, beam).
+        mesh: The target.
+        sonar: The sonar that took the frame.
+        segmenter: One of `SEGMENTERS`, a weights file, or a loaded `Segmenter`.
+        semantic: A map of your own (range, beam) instead of the segmenter's. It needs a `threshold`.
+        search: How templates are matched.
+        refine: How yaw is refined; None stops at the yaw bin.
+        threshold: Replaces the segmenter's own.
+        mask: True (range, beam) where a pixel was measured; None means everywhere.
+        engine: Runs compiled functions: `sonarjax.cpu.CpuEngine()` on a CPU.
+
+    Returns:
+        What was found: the score of the target and its yaw [rad].
 
     Raises:
         SonarjaxError: As `Recognizer` and its call do.
     """
-    _checked(image, mask, sonar)  # before anything is prepared
+    checked_image(image, mask, sonar)  # before anything is prepared
     recognizer = Recognizer(mesh, sonar, segmenter=segmenter, search=search, refine=refine, engine=engine)
     return recognizer(image, mask, semantic=semantic, threshold=threshold)
 
@@ -322,11 +348,24 @@ def refine_on_frame(
     image: Any, mesh: Mesh, sonar: Sonar, start: Pose, mask: Any = None, config: RefineConfig = MAP_REFINEMENT,
     window: WindowSize | None = None, engine: Engine = PLAIN,
 ) -> YawEstimate:  # fmt: skip
-    """Refine the poses of `start` [m, rad] on the grey frame (range, beam), with the template that fits it better.
+    """Refine poses on the grey frame instead of its map, with the template that fits the frame better.
 
     A map shows where highlight and shadow are, but its edges are blunt, and an object is equally bright all over. The
     echo template fits a sonar's frame (on validation frames a median error of 0.3° instead of 0.5°), the semantic one a
     frame that was drawn without a sensor. The better score at the start decides (experiments/fit_refinement.py).
+
+    Args:
+        image: Grey frame (range, beam).
+        mesh: The target.
+        sonar: The sonar that took the frame.
+        start: Where to start [m, rad], one pose or several, as in `refine_yaw`.
+        mask: True (range, beam) where a pixel was measured; None means everywhere.
+        config: Config of the refinement on the map; that of the refinement on the frame is derived from it.
+        window: Size of the window to render, as in `refine_yaw`.
+        engine: Runs the compiled functions.
+
+    Returns:
+        The refined poses: yaw [rad], x and y [m].
 
     Raises:
         SonarjaxError: As `refine_yaw` does.
@@ -380,18 +419,6 @@ def _distinct(hypotheses: list[Hypothesis]) -> tuple[Hypothesis, ...]:
         if all(gap > SAME_YAW for gap in gaps):
             kept.append(one)
     return tuple(kept)
-
-
-def _checked(image: Any, mask: Any, sonar: Sonar, name: str = "image") -> tuple[np.ndarray, np.ndarray | None]:
-    image = np.asarray(image, np.float32)
-    if image.shape != sonar.shape:
-        raise SonarjaxError(f"{name}: expected shape {sonar.shape} (range, beam) of the sonar, got {image.shape}")
-    mask = None if mask is None else np.asarray(mask, bool)
-    if mask is not None and mask.shape != image.shape:
-        raise SonarjaxError(f"mask: expected the image's shape {image.shape}, got {mask.shape}")
-    if not np.isfinite(image if mask is None else image[mask]).all():
-        raise SonarjaxError(f"{name}: holds NaN or infinite values")
-    return (image if mask is None else np.where(mask, image, 0.5).astype(np.float32)), mask
 
 
 def _wrap(angle: Any) -> float:

@@ -15,13 +15,29 @@ T = TypeVar("T")
 
 
 def static(**options: Any) -> Any:
-    """A dataclass field that is not a leaf: it is hashed, and another value means other compiled code."""
+    """Declare a field of a record that is not a leaf.
+
+    Its value is hashed, and another value means other compiled code.
+
+    Args:
+        **options: Passed on to `dataclasses.field`, such as `default`.
+
+    Returns:
+        The field.
+    """
     return dataclasses.field(**options, metadata={"static": True})
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(dataclasses.field, static))
 def record(cls: type[T]) -> type[T]:
-    """Make `cls` a frozen dataclass and a pytree with named leaves."""
+    """Make a class a frozen dataclass and a pytree with named leaves.
+
+    Args:
+        cls: The class, with annotated fields.
+
+    Returns:
+        The dataclass, registered with JAX.
+    """
     made: Any = dataclasses.dataclass(frozen=True)(cls)
     fields = dataclasses.fields(made)
     leaves = tuple(f.name for f in fields if not f.metadata.get("static", False))

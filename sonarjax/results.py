@@ -18,10 +18,19 @@ COVERAGES = {"within_68": 0.68, "within_95": 0.95}
 
 
 def record_of(result: Recognition, frame: str, seconds: float, tracked: Tracked | None = None) -> dict[str, Any]:
-    """One line of the results file for a Recognition: angles in degrees in [0, 360), lengths in metres.
+    """Make the line of a results file for one frame.
 
-    `seconds` [s] is the time it took, which is longer where others were recognized at the same time. With `tracked`,
-    yaw, its standard deviation, x, y and the hypotheses are those of the belief, and the frame's own yaw is added.
+    Angles are in degrees in [0, 360), lengths in metres.
+
+    Args:
+        result: What was found in the frame.
+        frame: Name of the frame.
+        seconds: Time that recognition took [s]; it is longer where other frames were recognized at the same time.
+        tracked: The belief after this frame; None if the frames are not tracked. Yaw, its standard deviation, x, y and
+            the hypotheses are then those of the belief, and the frame's own yaw is added.
+
+    Returns:
+        The line in JSON types.
     """
 
     def degrees(angle: float | None) -> float | None:

@@ -75,7 +75,7 @@ class Calibration:
     probability: np.ndarray
     """Probability that each frame (frame,) shows the target."""
     residual: np.ndarray
-    """RMS of each frame's residuals (frame,), divided by what is usual in all; NaN if not used."""
+    """RMS of each frame's residuals (frame,), divided by the median over all that were used; NaN if not used."""
     converged: bool
     """True if the last step was small."""
 
@@ -112,20 +112,25 @@ def calibrate(
         frames: Grey frames (frame, range, beam).
         mesh: The target.
         sonar: The nominal sonar.
-        free: Names of the numbers to fit.
-        poses: Known poses (frame,) from which to start. By default the target is searched for in each frame, and frames
-            in which it is not found are left out.
-        prior: Standard deviations [rad, m or 1] of how well numbers of the nominal sonar are known, by name.
-        masks: True where pixels were measured (frame, range, beam); None for a frame that is measured everywhere.
+        free: Names of the numbers to fit, from `PARAMETERS`.
+        poses: Known poses (frame,) [m, rad] from which to start. None means that the target is searched for in each
+            frame, and that frames in which it is not found are left out.
+        prior: Standard deviations [rad, m or 1] of how well numbers of the nominal sonar are known, by name. Numbers
+            that are not given have those of the sonar's `geometry_std`, else those of `PARAMETERS`.
+        masks: True where pixels were measured (frame, range, beam); None, also for a single frame, means everywhere.
         present: The target is known to be in every frame, so all are fitted.
         segmenter: The segmenter, or its name.
         search: How the target is searched for.
         engine: Runs the compiled functions.
         progress: Called with a text that says what is being done.
 
+    Returns:
+        The fitted sonar, device and poses, with how certain the free numbers are and which frames were used.
+
     Raises:
         SonarjaxError: There are no frames, their shapes do not fit the sonar, they are all the same, values are not
-            finite, a free number does not exist, or the target is found in none of them.
+            finite, there is another number of poses or masks, a free number does not exist or is repeated, a prior is
+            not positive or belongs to no free number, or the target is found in none of the frames.
     """
     names = check_free(free)
     std = prior_std(names, prior, sonar)

@@ -54,8 +54,16 @@ stands.
 
 
 def check_free(free: Sequence[str]) -> tuple[str, ...]:
-    """The names in the order of `PARAMETERS`. Raises SonarjaxError if there are none, or for an unknown or
-    repeated name.
+    """Check names of free numbers, and put them in the order of `PARAMETERS`.
+
+    Args:
+        free: The names.
+
+    Returns:
+        The names in order.
+
+    Raises:
+        SonarjaxError: There are no names, or one is unknown or repeated.
     """
     return in_order(free, PARAMETERS)
 

@@ -23,8 +23,18 @@ LOOSE = 0.35
 
 
 def describe_calibration(found: Calibration, nominal: Sonar, frames: Sequence[str]) -> str:
-    """Describe a calibration in several lines: each free number with its standard deviation, undetermined ones,
-    each frame.
+    """Describe a calibration in several lines of text.
+
+    Each free number has a line, with its change and standard deviation, or a note that it is not determined. If any is
+    not, a line names the least determined combination. A line warns if the fit did not converge. Each frame has a line.
+
+    Args:
+        found: The calibration.
+        nominal: The sonar that was calibrated.
+        frames: Name of each frame.
+
+    Returns:
+        The text.
     """
     lines = [_line(found, nominal, k) for k in range(len(found.free))]
     if not all(found.determined.values()):
@@ -53,9 +63,16 @@ def _line(found: Calibration, nominal: Sonar, k: int) -> str:
 def compare_templates(
     found: Calibration, images: Sequence[Any], mesh: Mesh, nominal: Sonar
 ) -> tuple[list[Any], list[Any], list[Any]]:
-    """Some of the frames that were used, and the target's semantic maps for the nominal and for the fitted sonar.
+    """Render the target's semantic maps for the nominal and for the fitted sonar, at some of the frames that were used.
 
-    All are (range, beam).
+    Args:
+        found: The calibration.
+        images: The frames that were calibrated from, each (range, beam).
+        mesh: The target.
+        nominal: The sonar that was calibrated.
+
+    Returns:
+        At most `SHOWN` of the frames, their maps for the nominal sonar and those for the fitted one, all (range, beam).
     """
     which = np.flatnonzero(found.used)[:SHOWN]
     poses = [Pose(*(float(np.asarray(v)[k]) for v in (found.poses.x, found.poses.y, found.poses.yaw))) for k in which]

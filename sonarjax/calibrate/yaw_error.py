@@ -18,7 +18,14 @@ from sonarjax.sonar import Sonar
 
 
 def stated_std(sonar: Sonar) -> dict[str, float]:
-    """The standard deviations in `sonar.geometry_std` [rad, m, 1], by name; those that are 0 are left out."""
+    """Return the standard deviations that a sonar states of its geometry.
+
+    Args:
+        sonar: The sonar; its `geometry_std` is read.
+
+    Returns:
+        Standard deviations [rad, m, 1] by name, without those that are 0; empty if the sonar states none.
+    """
     if sonar.geometry_std is None:
         return {}
     return {name: float(std) for name, std in vars(sonar.geometry_std).items() if float(std) > 0}
@@ -28,24 +35,27 @@ def yaw_std_of_geometry(
     image: Any, mesh: Mesh, sonar: Sonar, pose: Pose, stated: dict[str, float], config: RefineConfig, *,
     mask: Any = None, window: WindowSize | None = None, engine: Engine = PLAIN,
 ) -> float:  # fmt: skip
-    """Standard deviation of yaw [rad] that the `stated` uncertainty of the sonar's geometry causes.
+    """Return the standard deviation of yaw that an uncertain geometry of the sonar causes.
 
     The yaw is refined again from `pose`, with each stated number one standard deviation up and down. Half the
     difference is the share of that number, and the shares are added in quadrature. This assumes that the errors of the
-    geometry are independent, so small that yaw follows them linearly, and the same in all frames. Refining again is a
-    slower way to the derivative of `refine_yaw`, but a safer one: a rough objective within a tenth of a degree does not
-    disturb it.
+    geometry are independent, so small that yaw follows them linearly, and the same in all frames. The derivative of
+    `refine_yaw` would be faster. Refining again is safer, because an objective that is rough within a tenth of a degree
+    does not disturb it.
 
     Args:
         image: The frame (range, beam).
         mesh: The target.
         sonar: The sonar.
         pose: The refined pose [m, rad].
-        stated: Standard deviations by name, from `stated_std`.
+        stated: Standard deviations [rad, m, 1] by name, from `stated_std`.
         config: How to refine; it must refine on the frame.
         mask: True where the frame was measured (range, beam); None for everywhere.
-        window: Size of the window, planned by default.
+        window: Size of the window; None plans it.
         engine: Runs the compiled functions.
+
+    Returns:
+        Standard deviation of yaw [rad].
     """
 
     def solved(change: tuple[str, float]) -> float:

@@ -12,7 +12,7 @@ from sonarjax.io import SonarjaxError, check_label_files, complain, make_folder,
 
 
 def add(commands: Any) -> None:
-    """Add the command's arguments to the parser's `commands`."""
+    """Add this command and its arguments to `commands`, the subparsers of the command line."""
     command = commands.add_parser("segment", help="label background, highlight and shadow in frames", epilog=EXITS)
     command.set_defaults(run=run)
     command.add_argument("frames", metavar="FRAME", nargs="+", help=FRAME_HELP)
@@ -23,7 +23,11 @@ def add(commands: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the command; returns its exit code. Raises SonarjaxError for input that cannot be used."""
+    """Run the command and return its exit code.
+
+    Raises:
+        SonarjaxError: The input cannot be used.
+    """
     check_label_files(args.out_dir, args.frames)
     start_jax()
 

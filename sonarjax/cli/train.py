@@ -10,7 +10,7 @@ from sonarjax.io import complain, say
 
 
 def add(commands: Any) -> None:
-    """Add the command's arguments to the parser's `commands`."""
+    """Add this command and its arguments to `commands`, the subparsers of the command line."""
     command = commands.add_parser("train", help="train the pix2pix segmenter on simulated pairs")
     command.set_defaults(run=run)
     command.add_argument(
@@ -26,7 +26,11 @@ def add(commands: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the command; returns its exit code. Raises SonarjaxError for input that cannot be used."""
+    """Run the command and return its exit code.
+
+    Raises:
+        SonarjaxError: The input cannot be used.
+    """
     start_jax()
     from sonarjax.cpu import keep_memory, usual_engine
     from sonarjax.segment.training import train

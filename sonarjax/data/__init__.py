@@ -11,12 +11,9 @@ from sonarjax.data.dataset import make_dataset
 from sonarjax.data.folder import export_pairs, import_pairs
 from sonarjax.data.formats import FORMATS
 from sonarjax.data.frames import SENSORS, FrameSettings
-from sonarjax.data.objects import Shape, draw_shape
-from sonarjax.data.pairs import Pairs, PairSettings, draw_pair, make_pairs, paper_pairs, split_key
-from sonarjax.data.views import View, draw_view
+from sonarjax.data.pairs import Pairs, PairSettings, make_pairs, paper_pairs, split_key
 
 __all__ = [
-    "Box", "FORMATS", "FrameSettings", "PATCH", "PairSettings", "Pairs", "SENSORS", "Shape", "View", "cut_box",
-    "cut_labels", "draw_box", "draw_pair", "draw_shape", "draw_view", "export_pairs", "import_pairs", "make_dataset",
-    "make_pairs", "paper_pairs", "paste_patch", "split_key",
+    "Box", "FORMATS", "FrameSettings", "PATCH", "PairSettings", "Pairs", "SENSORS", "cut_box", "cut_labels", "draw_box",
+    "export_pairs", "import_pairs", "make_dataset", "make_pairs", "paper_pairs", "paste_patch", "split_key",
 ]  # fmt: skip

@@ -21,11 +21,19 @@ MARGIN, MARGIN_OF_FRAME = (0.0, 0.6), (0.0, 0.06)
 def cut_labels(
     highlight: Float[Array, "range beam"], shadow: Float[Array, "range beam"], box: Box, shape: tuple[int, int] = PATCH
 ) -> UInt8[Array, "patch_range patch_beam"]:
-    """Labels (patch_range, patch_beam) of a part of a frame: the largest of the shares (range, beam), after resampling
-    them.
+    """Cut the labels of a crop out of a rendered frame.
 
-    Thin highlights survive that nearest-neighbour sampling would skip, and edges stay smooth where pixels are
-    stretched.
+    The shares of the classes are resampled, and each pixel gets the class with the largest share. Thin highlights
+    survive that nearest-neighbour sampling would skip, and edges stay smooth where pixels are stretched.
+
+    Args:
+        highlight: Highlight's share of each pixel (range, beam), as in `SonarFrame`.
+        shadow: Shadow's share of each pixel's floor (range, beam), as in `SonarFrame`.
+        box: The part to cut out.
+        shape: Number of range bins and beams of the crop.
+
+    Returns:
+        Labels (patch_range, patch_beam): 0 background, 1 highlight, 2 shadow.
     """
     hidden = cut_box(shadow * (1 - highlight), box, shape)
     lit = cut_box(highlight, box, shape)
@@ -40,7 +48,18 @@ def touched_span(touched: Bool[Array, "pixel"]) -> tuple[Int[Array, ""], Int[Arr
 
 
 def draw_box(labels: UInt8[Array, "range beam"], *, key: Array) -> Box:
-    """Draw a random box in a frame with these labels (range, beam), mostly around the object; see `CROP_SHARES`."""
+    """Draw the random box of a training crop, mostly around the object in a frame.
+
+    Most boxes hold object and shadow with a margin, some cut off their far part, lie anywhere, or are the complete
+    frame (`CROP_SHARES`).
+
+    Args:
+        labels: Labels of the frame (range, beam): 0 background, 1 highlight, 2 shadow.
+        key: Source of all random numbers.
+
+    Returns:
+        The box [range bins, beams].
+    """
     stream = Stream(16, key=key)
     kind = stream.pick(CROP_SHARES)
     top, height = _draw_span((labels > 0).any(axis=1), LEAST[0], kind, stream)

@@ -38,16 +38,15 @@ def export_pairs(
     settings: PairSettings | None = None,
     first: int = 0,
 ) -> None:
-    """Write pairs as PNGs with a manifest into `folder`, made if missing; `import_pairs` reads them back unchanged.
+    """Write pairs as PNG files with a manifest; `import_pairs` reads them back unchanged.
 
     The manifest is written last, so a folder that has one is complete.
 
     Args:
         pairs: The pairs.
-        folder: The folder.
-        key: As given to `make_pairs`; kept in the manifest.
-        settings: As given to `make_pairs`; kept in the manifest.
-        first: As given to `make_pairs`; kept in the manifest.
+        folder: Where to write; made if it is missing.
+        key, settings: As given to `make_pairs`, kept in the manifest; None leaves them out.
+        first: As given to `make_pairs`: number of the first pair in the manifest.
 
     Raises:
         SonarjaxError: Something cannot be written.
@@ -72,9 +71,15 @@ def export_pairs(
 
 
 def import_pairs(folder: str | os.PathLike[str]) -> Pairs:
-    """Read the pairs (pair, 128, 128) of a folder with a manifest, in its order.
+    """Read the pairs of a folder that has a manifest.
 
     Pictures of another size are resampled to 128 × 128 (labels to the nearest).
+
+    Args:
+        folder: The folder, as `export_pairs` writes it.
+
+    Returns:
+        Images and labels (pair, 128, 128), in the order of the manifest.
 
     Raises:
         SonarjaxError: The manifest or a picture is missing or cannot be used, or a label picture has other grey values.

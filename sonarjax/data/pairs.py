@@ -82,7 +82,14 @@ class Pairs:
 
 
 def split_key(run_seed: int, split: str) -> Array:
-    """The key of the pairs for `split` ("train", "validation" or "test"). No two splits share a pair.
+    """Derive the key of a split's pairs from the seed of a run. No two splits share a pair.
+
+    Args:
+        run_seed: Seed of the run.
+        split: "train", "validation" or "test".
+
+    Returns:
+        A JAX key, for `make_pairs`.
 
     Raises:
         SonarjaxError: The split is unknown.
@@ -104,6 +111,9 @@ def make_pairs(
         first: Number of the first pair.
         engine: Runs the compiled functions.
 
+    Returns:
+        Images and labels (count, 128, 128).
+
     Raises:
         SonarjaxError: `count` is below 1 or `first` below 0.
     """
@@ -120,7 +130,15 @@ def make_pairs(
 
 
 def paper_pairs(run_seed: int, settings: PairSettings = PAPER_SETTINGS) -> Pairs:
-    """The fixed set of §3.1: 6,780 training pairs."""
+    """Make the fixed set of §3.1: 6,780 training pairs.
+
+    Args:
+        run_seed: Seed of the run.
+        settings: What the pairs have in common; the default is a DIDSON in the tank of Table 1.
+
+    Returns:
+        Images and labels (6780, 128, 128).
+    """
     return make_pairs(PAPER_PAIRS, settings, key=split_key(run_seed, "train"))
 
 

@@ -124,16 +124,21 @@ def _later_size(data: Content, name: str) -> tuple[int, int] | None:
 
 
 def parse_aris(data: Content, name: str, index: int | None = None) -> Iterator[Frame]:
-    """Yield the frames of an ARIS file, or only frame `index`; `image` = stored byte / 255 (0 … 255 is 0 … 80 dB).
+    """Yield the frames of an ARIS file, or only frame `index`.
+
+    The image is the stored byte / 255. Stored bytes of 0 to 255 mean 0 to 80 dB.
 
     Args:
         data: Content of the file.
-        name: Its path, for messages.
-        index: Number of a frame, from 0; None for all.
+        name: Its path, for messages and for the names of the frames.
+        index: Number of a frame, from 0; None means all frames.
+
+    Yields:
+        Frames (range, beam), in the order of the file.
 
     Raises:
-        SonarjaxError: Something cannot be used: signature, sizes, sound speed, sample period, a frame of another size,
-            or an index out of range.
+        SonarjaxError: The signature, sizes, sound speed, sample period or range window cannot be used; no frame is
+            complete; a frame has another size; or the index is out of range.
     """
     return frames_of(aris_records(data, name, index))
 

@@ -52,6 +52,15 @@ def uneven_fan(n_beams: int, first_deg: float, middle_deg: float, edge_deg: floa
 
 
 def aris_azimuth_deg(system: int, n_beams: int, large_lens: bool) -> Float64[np.ndarray, "beam"] | None:
-    """Ascending beam centres (beam,) [deg] of an ARIS; None if no table is known for this combination."""
+    """Return the azimuths of an ARIS's beam centres, from the polynomial of this module.
+
+    Args:
+        system: SystemType of the header: 0 for an ARIS 1800, 1 for an ARIS 3000, 2 for an ARIS 1200.
+        n_beams: Number of beams.
+        large_lens: True if the sonar has the large lens.
+
+    Returns:
+        Beam centres (beam,) in ascending order [deg]; None if no table is known for this combination.
+    """
     fan = FANS.get((system, large_lens), {}).get(n_beams)
     return None if fan is None else uneven_fan(n_beams, *fan)

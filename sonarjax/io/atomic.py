@@ -31,11 +31,16 @@ Writer = Callable[[IO[bytes]], object]
 def write_atomic(path: PathLike, writer: Writer) -> None:
     """Let `writer(file)` write a binary file, then move it to `path` in one step.
 
-    A device such as /dev/null is written to directly. Other exceptions of `writer` pass through, and leave nothing
-    behind either.
+    A device such as /dev/null is written to directly. An OSError of `writer` becomes a SonarjaxError; its other
+    exceptions pass through. In no case is a partial file left behind.
+
+    Args:
+        path: File to write. If it is a link, the file that it points to is written, and the link is kept.
+        writer: Function that is called with the open binary file and writes the content.
 
     Raises:
-        SonarjaxError: The file cannot be written. What was at `path` is then unchanged.
+        SonarjaxError: The file cannot be written, the path is a folder, or it contains NUL. What was at `path` is then
+            unchanged.
     """
     name = os.fspath(path)
     if "\0" in name:
@@ -71,12 +76,26 @@ def _write_aside(target: Path, writer: Writer) -> None:
 
 
 def write_text(path: PathLike, text: str) -> None:
-    """Write `text` as UTF-8, all or nothing. Raises SonarjaxError if it cannot be written."""
+    """Write a text as UTF-8, all or nothing.
+
+    Args:
+        path: File to write.
+        text: Its content.
+
+    Raises:
+        SonarjaxError: The file cannot be written.
+    """
     write_atomic(path, lambda file: file.write(text.encode("utf-8")))
 
 
 def write_npz(path: PathLike, /, **arrays: np.ndarray) -> None:
-    """Write named arrays (any shape) as a compressed NPZ, all or nothing. The same arrays give the same bytes.
+    """Write named arrays as a compressed NPZ, all or nothing.
+
+    The same arrays give the same bytes.
+
+    Args:
+        path: File to write.
+        **arrays: Arrays of numbers (any shape), each under its name in the file.
 
     Raises:
         SonarjaxError: The file cannot be written, or an array would need pickle.
@@ -105,10 +124,15 @@ def write_png(
     | UInt8[np.ndarray, "row column 3"]
     | Float[np.ndarray, "row column 3"],
 ) -> None:
-    """Write a grey (row, column) or colour (row, column, 3) picture: uint8 as it is, floats in [0, 1] times 255.
+    """Write a grey or colour picture as PNG, all or nothing.
+
+    Args:
+        path: File to write.
+        image: Grey picture (row, column) or colour picture (row, column, 3). uint8 is stored as it is; floats must be
+            in [0, 1] and are stored times 255.
 
     Raises:
-        SonarjaxError: The type, shape or range is another, or the file cannot be written.
+        SonarjaxError: The picture has another type, shape or range, or is empty; or the file cannot be written.
     """
     name, values = os.fspath(path), np.asarray(image)
     if values.size == 0 or not (values.ndim == 2 or (values.ndim == 3 and values.shape[2] == 3)):

@@ -10,7 +10,14 @@ from sonarjax.io.errors import SonarjaxError
 
 
 def complain(message: str, kind: str = "error: ") -> None:
-    """Print one line on stderr, whatever `message` contains."""
+    """Print a message on stderr as one line, even if it contains line breaks.
+
+    If a progress bar is shown, the line appears above it. A closed stderr is ignored.
+
+    Args:
+        message: Text of the message.
+        kind: What stands before it in the line.
+    """
     line = f"sonarjax: {kind}{' '.join(message.split())}"
     with contextlib.suppress(OSError, ValueError):  # stderr may be closed
         if sys.stderr.isatty() and "tqdm" in sys.modules:
@@ -20,11 +27,14 @@ def complain(message: str, kind: str = "error: ") -> None:
 
 
 def say(text: str) -> None:
-    """Print to stdout at once.
+    """Print a text to stdout at once.
+
+    Args:
+        text: Text to print. Characters that stdout cannot encode are printed as backslash escapes.
 
     Raises:
-        SonarjaxError: It cannot be written.
-        BrokenPipeError: Nobody reads it any more.
+        SonarjaxError: The text cannot be written.
+        BrokenPipeError: Nobody reads stdout any more.
     """
     encoding = sys.stdout.encoding or "utf-8"
     try:
@@ -39,7 +49,10 @@ def say(text: str) -> None:
 
 
 def silence_stdout() -> None:
-    """Redirect stdout to nowhere; otherwise the interpreter complains again when it flushes at exit."""
+    """Redirect stdout to the null device.
+
+    Call it after stdout has failed; otherwise the interpreter complains again when it flushes at exit.
+    """
     with contextlib.suppress(OSError, ValueError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, sys.stdout.fileno())

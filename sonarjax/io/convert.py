@@ -47,6 +47,12 @@ class FanOptions:
     shorter.
     """
 
+    def __post_init__(self) -> None:
+        """Raises SonarjaxError for a number of beams, bins or columns that is below 1."""
+        for name in ("beams", "bins", "width"):
+            if getattr(self, name) is not None and getattr(self, name) < 1:
+                raise SonarjaxError(f"{_option(name)}: expected a number of 1 or more, got {getattr(self, name)}")
+
 
 FAN_OPTIONS = {
     "--opening-deg": ("D", "full angle of the fan, to the outer edges of the outer beams [deg]"),
@@ -66,10 +72,16 @@ TO_FAN = ("width",)
 
 
 def one_frame(spec: str) -> Frame:
-    """The only frame (range, beam) of a file, or frame N of `path:N`; a fan picture is given as (row, column).
+    """Read the only frame of a file, or frame N of `path:N`.
+
+    Args:
+        spec: Name of the frame, as for `read_frames`.
+
+    Returns:
+        The frame (range, beam); for a fan picture its axes are (row, column).
 
     Raises:
-        SonarjaxError: As `read_frames`, or the file holds several frames.
+        SonarjaxError: As `read_frames`, or the file holds several frames and `spec` does not say which.
     """
     frame = next(iter_frames(spec))
     if frame.meta["n_frames"] > 1 and split_spec(spec).number is None:
@@ -78,30 +90,41 @@ def one_frame(spec: str) -> Frame:
 
 
 def to_bag(specs: Sequence[str], out: str, options: FanOptions = FanOptions()) -> str:
-    """Write all frames (range, beam) of `specs` as the sonar images of a ROS bag; `out` ends in .bag or .mcap.
+    """Write all frames of several files as the sonar images of a ROS bag.
+
+    Args:
+        specs: Names of the frames (range, beam), as for `read_frames`.
+        out: Bag to write, ending in .bag or .mcap.
+        options: Must hold no option, because options are for fan pictures.
 
     Returns:
         One line that says what was written.
 
     Raises:
-        SonarjaxError: An option is given (options are for fan pictures), or as `read_frames` and `write_bag`.
+        SonarjaxError: An option is given, or as `read_frames` and `write_bag`.
     """
     for name in FanOptions.__dataclass_fields__:
-        if getattr(options, name) not in (None, False):
+        if _given(options, name):
             raise SonarjaxError(f"{_option(name)}: cannot be used with the bag {out!r} as --out")
     count = write_bag(out, chain.from_iterable(map(iter_frames, specs)))
     return f"{out}: {count} frame{'' if count == 1 else 's'}"
 
 
 def convert(frame: Frame, out: str, options: FanOptions = FanOptions()) -> str:
-    """Write `frame`: a fan picture as a polar frame if `out` ends in .npz, a polar frame as a fan picture if in .png.
+    """Convert a fan picture to a polar frame in an NPZ, or a polar frame to a fan picture in a PNG, and write it.
+
+    Args:
+        frame: Fan picture (row, column) if `out` ends in .npz, polar frame (range, beam) if it ends in .png.
+        out: File to write; its ending says which conversion is wanted.
+        options: What is known of the fan picture. A fan picture needs its opening and both ranges, and so does a polar
+            frame without geometry.
 
     Returns:
         One line that says what was written.
 
     Raises:
-        SonarjaxError: The ending is another; options are missing, or are for the other direction; the picture shows no
-            fan; or `out` cannot be written.
+        SonarjaxError: `out` has another ending or cannot be written; an option is missing, is for the other direction,
+            repeats what the file holds or is out of range; or the picture shows no fan.
     """
     ending = os.path.splitext(out)[1].lower()
     if ending not in (".npz", ".png"):
@@ -109,7 +132,7 @@ def convert(frame: Frame, out: str, options: FanOptions = FanOptions()) -> str:
             f"--out: {out!r}: expected an ending .npz (a polar frame), .png (a fan picture), .bag or .mcap"
         )
     for name in TO_FAN if ending == ".npz" else TO_POLAR:
-        if getattr(options, name) not in (None, False):
+        if _given(options, name):
             other = "png" if ending == ".npz" else "npz"
             raise SonarjaxError(f"{_option(name)}: can only be used with a .{other} file as --out, got {out!r}")
     try:
@@ -178,6 +201,12 @@ def _sector(options: FanOptions, what: str) -> tuple[float, float, float]:
     if None in values:
         raise SonarjaxError(f"{_option(SECTOR[values.index(None)])}: required for {what}")
     return values[0], values[1], values[2]
+
+
+def _given(options: FanOptions, name: str) -> bool:
+    """Whether an option was set; 0 is a value like any other."""
+    value = getattr(options, name)
+    return value is not None and value is not False
 
 
 def _option(field: str) -> str:

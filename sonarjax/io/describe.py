@@ -15,9 +15,16 @@ from sonarjax.io.toml import read_toml
 
 
 def describe(spec: str | os.PathLike[str]) -> str:
-    """Describe a frame file, sonar recording, `sonar.toml` or weights file, in lines of `name: value`.
+    """Describe a frame file, sonar recording, `sonar.toml` or weights file as text.
 
-    For a recording this describes the first frame, or frame N of `path:N`; for weights, how they were trained.
+    Of a recording, the first frame is described, or frame N of `path:N`. Of weights, the text says how they were
+    trained. Of an NPZ without a frame, it lists the arrays.
+
+    Args:
+        spec: Path of the file, or the name of a frame as for `read_frames`.
+
+    Returns:
+        Lines of a name and its value, in two columns.
 
     Raises:
         SonarjaxError: The file cannot be read.

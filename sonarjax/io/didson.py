@@ -106,7 +106,17 @@ class DidsonFile:
 
 
 def didson_azimuth_deg(n_beams: int, tables: DidsonTables = DIDSON_TABLES) -> Float64[np.ndarray, "beam"]:
-    """Ascending beam centres (beam,) [deg]: the lens cubic, inverted by a fine table. 48 beams are pairs of the 96."""
+    """Return the azimuths of a DIDSON's beam centres.
+
+    They come from the cubic of the lens, which is inverted by a fine table. Each of 48 beams is a pair of the 96.
+
+    Args:
+        n_beams: Number of beams, 48 or 96.
+        tables: How to interpret the format.
+
+    Returns:
+        Beam centres (beam,) in ascending order [deg].
+    """
     azimuth = np.linspace(-20.0, 20.0, 4001)
     beam = tables.lens_scale * np.polyval(tables.lens, azimuth) + 1
     wanted = np.arange(1.0, 97.0) if n_beams == 96 else np.arange(1.5, 97.0, 2.0)
@@ -116,13 +126,18 @@ def didson_azimuth_deg(n_beams: int, tables: DidsonTables = DIDSON_TABLES) -> Fl
 def parse_didson(
     data: Content, name: str, index: int | None = None, tables: DidsonTables = DIDSON_TABLES
 ) -> Iterator[Frame]:
-    """Yield the frames of a DIDSON file, or only frame `index`; `image` = stored byte / 255, shape (range, beam).
+    """Yield the frames of a DIDSON file, or only frame `index`.
+
+    The image is the stored byte / 255.
 
     Args:
         data: Content of the file.
-        name: Its path, for messages.
-        index: Number of a frame, from 0; None for all.
+        name: Its path, for messages and for the names of the frames.
+        index: Number of a frame, from 0; None means all frames.
         tables: How to interpret the format.
+
+    Yields:
+        Frames (range, beam), in the order of the file.
 
     Raises:
         SonarjaxError: The signature, sizes or window codes are wrong, no frame is complete, or the index is out of

@@ -41,16 +41,16 @@ def fan_to_polar(
     """Turn a fan picture (row, column) into a polar image (range, beam).
 
     Args:
-        picture: The fan picture (row, column).
+        picture: Fan picture (row, column).
         geometry: Where its pixels lie.
-        shape: Numbers of range bins and beams, by default `geometry.polar_shape()`. They divide the sector evenly, as
+        shape: Numbers of range bins and beams; None means `geometry.polar_shape()`. They divide the sector evenly, as
             `geometry.range_edges` and `geometry.azimuth` say.
-        order: Interpolation, see the module.
+        order: Interpolation: 3 for a cubic spline, 1 for linear, 0 for the nearest pixel (labels).
 
     Returns:
-        The image (range, beam) and its mask (range, beam). The mask is true where the picture shows the cell; elsewhere
-        the image is 0. The image is float32, on the picture's own scale and within its values; with `order` 0 it has
-        the picture's type.
+        Image (range, beam) and mask (range, beam). The mask is true where the picture shows the cell; elsewhere the
+        image is 0. The image is float32, on the picture's own scale and within its values; with `order` 0 it has the
+        picture's type.
 
     Raises:
         SonarjaxError: The picture or shape is empty, or there are more than `PIXEL_LIMIT` cells.
@@ -73,24 +73,25 @@ def polar_to_fan(
 ) -> tuple[Shaped[np.ndarray, "row column"], Bool[np.ndarray, "row column"]]:
     """Turn a polar image (range, beam) into a fan picture (row, column).
 
-    With the geometry and shape of a picture that `fan_to_polar` took, a map made from it returns to that picture's
-    pixels.
+    It also brings a polar map, such as labels, back to the picture that `fan_to_polar` took: give that picture's
+    geometry and shape.
 
     Args:
-        image: The polar image (range, beam).
+        image: Polar image (range, beam).
         azimuth: Beam centres (beam,) in ascending order [rad].
-        range_edges: Edges (range_edge,) of the range bins [m].
+        range_edges: Edges (range_edge,) of the range bins in ascending order [m].
         geometry: Where the picture's pixels lie.
         shape: Rows and columns of the picture.
-        mask: What was measured (range, beam); None for everything.
-        order: Interpolation, see the module.
+        mask: True where the image was measured (range, beam); None means everywhere.
+        order: Interpolation: 3 for a cubic spline, 1 for linear, 0 for the nearest pixel (labels).
 
     Returns:
-        The picture (row, column) and its mask (row, column). The mask is true where a pixel's centre lies in the
-        measured sector; elsewhere the picture is 0. Types as in `fan_to_polar`.
+        Picture (row, column) and mask (row, column). The mask is true where a pixel's centre lies in the measured
+        sector; elsewhere the picture is 0. The types are as in `fan_to_polar`.
 
     Raises:
-        SonarjaxError: The axes do not fit the image or do not ascend, the shape is empty, or there are too many pixels.
+        SonarjaxError: The axes do not fit the image, do not ascend or are not finite; the shape is empty; or there are
+            more than `PIXEL_LIMIT` pixels.
     """
     rows, columns = _checked(shape)
     _check_axis("azimuth", azimuth, image.shape[1])

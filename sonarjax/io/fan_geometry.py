@@ -38,7 +38,10 @@ class PictureBox(NamedTuple):
 
 @dataclass(frozen=True)
 class FanGeometry:
-    """A sector and its position in a picture. Ranges are slant ranges; azimuth grows to port, the middle beam has 0."""
+    """A sector and its position in a picture.
+
+    Ranges are slant ranges. Azimuth grows to port and is 0 in the middle of the sector.
+    """
 
     opening: float
     """Full angle of the sector, between the outer edges of the two outer beams [rad]."""
@@ -60,7 +63,14 @@ class FanGeometry:
     def places(
         self, rows: Real[np.ndarray, "*grid"], columns: Real[np.ndarray, "*grid"]
     ) -> tuple[Float[np.ndarray, "*grid"], Float[np.ndarray, "*grid"]]:
-        """Range [m] and azimuth [rad] of positions in the picture, in pixels from its upper left corner."""
+        """Return the ranges and azimuths of positions in the picture.
+
+        Args:
+            rows, columns: Positions from the picture's upper left corner [pixels].
+
+        Returns:
+            Ranges [m] and azimuths [rad], of the shape of the positions.
+        """
         forward = (self.apex_row - rows) * self.row_m
         lateral = (self.apex_column - columns) * self.column_m
         return np.hypot(forward, lateral), np.arctan2(lateral, forward)
@@ -68,23 +78,48 @@ class FanGeometry:
     def pixels(
         self, ranges: Real[np.ndarray, "*grid"], azimuth: Real[np.ndarray, "*grid"]
     ) -> tuple[Float[np.ndarray, "*grid"], Float[np.ndarray, "*grid"]]:
-        """Rows and columns, in pixels from the upper left corner, of points at `ranges` [m] and `azimuth` [rad]."""
+        """Return the positions of points in the picture; the inverse of `places`.
+
+        Args:
+            ranges: Ranges of the points [m].
+            azimuth: Their azimuths [rad].
+
+        Returns:
+            Rows and columns from the picture's upper left corner [pixels], of the shape of the points.
+        """
         rows = self.apex_row - ranges * np.cos(azimuth) / self.row_m
         return rows, self.apex_column - ranges * np.sin(azimuth) / self.column_m
 
     def range_edges(self, bins: int) -> Float[np.ndarray, "range_edge"]:
-        """Edges (range_edge,) of `bins` equal range bins over the sector, near to far [m]."""
+        """Divide the sector into equal range bins.
+
+        Args:
+            bins: Number of range bins.
+
+        Returns:
+            Edges (range_edge,) of the bins, near to far [m].
+        """
         return np.linspace(self.range_min, self.range_max, bins + 1)
 
     def azimuth(self, beams: int) -> Float[np.ndarray, "beam"]:
-        """Centres (beam,) of `beams` equal beams over the sector, ascending from starboard to port [rad]."""
+        """Divide the sector into equal beams.
+
+        Args:
+            beams: Number of beams.
+
+        Returns:
+            Beam centres (beam,), ascending from starboard to port [rad].
+        """
         return equal_beams(self.opening, beams)
 
     def polar_shape(self) -> tuple[int, int]:
-        """Numbers of range bins and beams that keep the picture's resolution.
+        """Return the numbers of range bins and beams that keep the picture's resolution.
 
         There are as many bins as rows along the middle of the sector, and as many beams as columns along the arc at mid
         range. Farther away the picture is finer than the beams.
+
+        Returns:
+            Numbers of range bins and of beams, at least 1 each.
         """
         bins = (self.range_max - self.range_min) / self.row_m
         arc = self.opening * (self.range_max + self.range_min) / 2
@@ -97,10 +132,16 @@ def equal_beams(opening: float | int, beams: int) -> Float[np.ndarray, "beam"]:
 
 
 def content_box(picture: Real[np.ndarray, "row column"]) -> PictureBox:
-    """The bounding box of the pixels above 0 in a picture (row, column).
+    """Find the bounding box of a picture's pixels above 0.
+
+    Args:
+        picture: Picture (row, column).
+
+    Returns:
+        The bounding box, along the outer edges of the pixels [pixels].
 
     Raises:
-        SonarjaxError: There are none.
+        SonarjaxError: No pixel is above 0.
     """
     rows, columns = (np.flatnonzero((picture > 0).any(axis)) for axis in (1, 0))
     if rows.size == 0:
@@ -115,19 +156,23 @@ def fit_fan(
     range_max: float | int,
     apex_row: float | int | None = None,
 ) -> FanGeometry:
-    """The geometry of a picture in which the sector has the bounding box `box`.
+    """Find the geometry of a picture from the bounding box of its sector.
 
     Args:
-        box: The sector's bounding box.
+        box: Bounding box of the sector in the picture.
         opening: Full angle of the sector [rad].
         range_min: Range at which the sector begins [m].
         range_max: Range at which it ends [m].
-        apex_row: Row of the sonar, from the picture's upper edge [pixels]. By default it follows from the box's lower
-            edge (see the module's rule). If it is given, that edge is not used: the picture may be cut off below, or
-            show the sonar at its own lower edge.
+        apex_row: Row of the sonar, from the picture's upper edge [pixels]. None means that it follows from the box's
+            lower edge (see the module's rule). If it is given, that edge is not used: the picture may be cut off below,
+            or show the sonar at its own lower edge.
+
+    Returns:
+        The sector and its position in the picture.
 
     Raises:
-        SonarjaxError: No sonar has such an opening or range window, the box is empty, or the apex is not below its top.
+        SonarjaxError: No sonar has such an opening or range window, the box is empty, or the apex is not below the
+            box's top.
     """
     half, top, bottom = _extent(float(opening), float(range_min), float(range_max))
     if not (box.bottom > box.top and box.right > box.left):
@@ -152,13 +197,22 @@ def fit_fan(
 def fan_around(
     opening: float | int, range_min: float | int, range_max: float | int, pixel: float | int
 ) -> tuple[FanGeometry, tuple[int, int]]:
-    """Geometry and shape (rows, columns) of a picture that just holds a sector, with pixels of about `pixel` [m].
+    """Plan a picture that just holds a sector.
 
-    `opening` [rad], `range_min` and `range_max` [m] are as in `fit_fan`. Complete pixels fill the sector's bounding
-    box, so their height and width differ slightly.
+    Complete pixels fill the sector's bounding box, so their height and width differ slightly.
+
+    Args:
+        opening: Full angle of the sector [rad].
+        range_min: Range at which the sector begins [m].
+        range_max: Range at which it ends [m].
+        pixel: Approximate height and width of a pixel [m].
+
+    Returns:
+        Geometry of the picture, and its shape (rows, columns).
 
     Raises:
-        SonarjaxError: As `fit_fan`, or the picture has more than `PIXEL_LIMIT` pixels.
+        SonarjaxError: As `fit_fan`, the pixel's size is not above 0, or the picture would have more than `PIXEL_LIMIT`
+            pixels.
     """
     half, top, bottom = _extent(float(opening), float(range_min), float(range_max))
     if not pixel > 0:

@@ -62,7 +62,15 @@ def map_bytes(path: str | os.PathLike[str]) -> mmap.mmap:
 
 
 def read_bytes(path: str | os.PathLike[str], allow_empty: bool = False, limit: int | None = None) -> bytes:
-    """Read a file of at most `limit` bytes (by default `size_limit`).
+    """Read a file completely.
+
+    Args:
+        path: File to read.
+        allow_empty: If True, an empty file is no error.
+        limit: Largest size that is read [bytes]; None means `size_limit()`, which also bounds a larger `limit`.
+
+    Returns:
+        Content of the file.
 
     Raises:
         SonarjaxError: The file is missing, a folder, a device, unreadable, empty or too large.

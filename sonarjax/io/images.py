@@ -67,17 +67,55 @@ def bool_mask(values: np.ndarray, shape: tuple[int, int], name: str) -> Bool[np.
 
 
 def parse_png_frame(data: bytes, name: str, index: int | None = None) -> Iterator[Frame]:
-    """The frame of a grey PNG (polar, near row first). Raises SonarjaxError if it cannot be used."""
+    """Yield the frame of a grey PNG, a polar image with the near row first.
+
+    Args:
+        data: Content of the file.
+        name: Its path, for messages and for the name of the frame.
+        index: Number of the frame, which can only be 0; None means the same.
+
+    Yields:
+        The only frame (range, beam).
+
+    Raises:
+        SonarjaxError: The PNG cannot be decoded, is not grey and opaque, or has more than `PIXEL_LIMIT` pixels; or the
+            index is not 0.
+    """
     yield _single(parse_png(data, name), name, index, "PNG")
 
 
 def parse_npy_frame(data: bytes, name: str, index: int | None = None) -> Iterator[Frame]:
-    """The frame of an NPY of shape (range, beam). Raises SonarjaxError if it cannot be used."""
+    """Yield the frame of an NPY.
+
+    Args:
+        data: Content of the file.
+        name: Its path, for messages and for the name of the frame.
+        index: Number of the frame, which can only be 0; None means the same.
+
+    Yields:
+        The only frame (range, beam).
+
+    Raises:
+        SonarjaxError: The NPY cannot be read, its array cannot be used as an image, or the index is not 0.
+    """
     yield _single(parse_npy(data, name, "image"), name, index, "NPY")
 
 
 def parse_npz_frame(data: bytes, name: str, index: int | None = None) -> Iterator[Frame]:
-    """The frame of an NPZ: `image`, and `mask` and geometry if present. Raises SonarjaxError if it cannot be used."""
+    """Yield the frame of an NPZ: its `image`, and its `mask` and geometry if present.
+
+    Args:
+        data: Content of the file.
+        name: Its path, for messages and for the name of the frame.
+        index: Number of the frame, which can only be 0; None means the same.
+
+    Yields:
+        The only frame (range, beam).
+
+    Raises:
+        SonarjaxError: The NPZ cannot be read or has no `image`; an array cannot be used, or does not fit the image; or
+            the index is not 0.
+    """
     archive = NpzArchive(data, name)
     values = archive.array("image")
     mask = archive.array("mask") if "mask" in archive.keys else None

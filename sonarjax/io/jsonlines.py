@@ -23,7 +23,14 @@ class JsonLines:
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        """Open `path`. Raises SonarjaxError if it cannot be opened for writing."""
+        """Open a file for appending, and make it if there is none.
+
+        Args:
+            path: The file.
+
+        Raises:
+            SonarjaxError: It cannot be opened for writing.
+        """
         self.name = os.fspath(path)
         try:
             self._descriptor = os.open(self.name, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o666)
@@ -34,15 +41,25 @@ class JsonLines:
             self._append(b"\n")
 
     def write(self, record: Mapping[str, Any]) -> None:
-        """Append one object. NumPy values are written as numbers and lists, non-finite floats as null.
+        """Append one object as a line.
+
+        NumPy values are written as numbers and lists, non-finite floats as null.
+
+        Args:
+            record: The object.
 
         Raises:
-            SonarjaxError: It cannot be written.
+            SonarjaxError: The line cannot be written.
+            TypeError: JSON cannot hold a value of the object.
         """
         self._append(json.dumps(plain(record), allow_nan=False, ensure_ascii=False).encode("utf-8", "replace") + b"\n")
 
     def close(self) -> None:
-        """Close the file. Raises SonarjaxError if the system reports a late write error."""
+        """Close the file; closing it again does nothing.
+
+        Raises:
+            SonarjaxError: The system reports a late write error.
+        """
         if not self._open:
             return
         self._open = False

@@ -62,10 +62,18 @@ class Spec(NamedTuple):
 
 
 def split_spec(spec: str | os.PathLike[str]) -> Spec:
-    """Split the name of a frame into its parts. If a file has exactly this name, the name means that file.
+    """Split the name of a frame into its parts.
+
+    If a file has exactly this name, the name means that file.
 
     >>> split_spec("log.aris:3")
     Spec(path='log.aris', number=3, topic=None)
+
+    Args:
+        spec: `path`, `path:N`, or for a bag also `path:TOPIC` or `path:TOPIC:N`.
+
+    Returns:
+        Path, number of the frame and topic; a part that `spec` does not give is None.
     """
     name = os.fspath(spec)
     if os.path.exists(name):
@@ -79,9 +87,16 @@ def split_spec(spec: str | os.PathLike[str]) -> Spec:
 
 
 def naming(name: str, error: Exception) -> str:
-    """The error's message, preceded by the frame's `name` unless it already names the file.
+    """Return an error's message, preceded by the frame's name unless it already names the file.
 
-    The type of an exception that is not ours is added, because its message alone seldom says what happened.
+    The type of an exception other than SonarjaxError is added, because its message alone seldom says what happened.
+
+    Args:
+        name: Name of the frame, as for `read_frames`.
+        error: The error.
+
+    Returns:
+        The message, in one line.
     """
     message = " ".join(str(error).split())
     if not isinstance(error, SonarjaxError):
@@ -90,10 +105,16 @@ def naming(name: str, error: Exception) -> str:
 
 
 def iter_records(spec: str | os.PathLike[str]) -> Iterator[Record]:
-    """Yield the frames (range, beam) of `spec` one by one, with an error in place of each damaged frame.
+    """Yield frames one by one, with an error in place of each damaged frame of a recording.
+
+    Args:
+        spec: Name of the frames, as for `read_frames`.
+
+    Yields:
+        A frame (range, beam), or the SonarjaxError that says why it cannot be read.
 
     Raises:
-        SonarjaxError: As `read_frames`, for problems with the file as such.
+        SonarjaxError: As `read_frames`, for problems with the file as a whole.
     """
     path, number, topic = split_spec(spec)
     if is_bag(path):
@@ -107,24 +128,37 @@ def iter_records(spec: str | os.PathLike[str]) -> Iterator[Record]:
 
 
 def iter_frames(spec: str | os.PathLike[str]) -> Iterator[Frame]:
-    """Yield the frames (range, beam) of `path` one by one, or frame N of `path:N` (N from 0).
+    """Yield frames one by one, so that only one is held in memory.
 
-    Raises the same errors as `read_frames`, when it reaches the frame concerned.
+    Args:
+        spec: Name of the frames, as for `read_frames`.
+
+    Yields:
+        Frames (range, beam), in the order of the file.
+
+    Raises:
+        SonarjaxError: As `read_frames`, when the frame concerned is reached.
     """
     yield from frames_of(iter_records(spec))
 
 
 def read_frames(spec: str | os.PathLike[str]) -> list[Frame]:
-    """Read all frames (range, beam) of `path`, frame N of `path:N` (N from 0), or for a bag `path:TOPIC` or
-    `path:TOPIC:N`.
+    """Read all frames of a file, or one of them.
 
-    Endings: .npz .npy .png .aris .ddf .raw .oculus .bag .mcap .db3; for a ROS 2 bag also its folder. An unfinished last
-    frame of a recording is left out. Frames of a sonar file are float32, four times the size of the file's bytes:
-    `iter_frames` holds one at a time.
+    An unfinished last frame of a recording is left out. Frames of a sonar file are float32, four times the size of the
+    file's bytes: `iter_frames` holds one at a time.
+
+    Args:
+        spec: `path` for all frames, or `path:N` for frame N, from 0. For a bag also `path:TOPIC` or `path:TOPIC:N`.
+            Endings: .npz .npy .png .aris .ddf .raw .oculus .bag .mcap .db3; for a ROS 2 bag also its folder.
+
+    Returns:
+        Frames (range, beam), in the order of the file.
 
     Raises:
         SonarjaxError: The file is missing, empty, truncated, a folder or of an unknown ending; the frame does not
-            exist; the image is not (range, beam), is empty, not numeric, NaN, infinite or outside [0, 1]; or its mask
-            does not fit. The message names the file, the field and what was expected.
+            exist; the image has not the shape (range, beam), is empty or not numeric, or has values that are NaN,
+            infinite or outside [0, 1]; or its mask does not fit. The message names the file, the field and what was
+            expected.
     """
     return list(iter_frames(spec))

@@ -63,15 +63,18 @@ class OculusPing:
 
 
 def parse_oculus(data: Content, name: str, index: int | None = None, bearing_sign: int = -1) -> Iterator[Frame]:
-    """Yield the pings of a raw Oculus file, or only ping `index`; `image` = stored value / 255 (or / 65535).
+    """Yield the pings of a raw Oculus file, or only ping `index`.
 
-    An unfinished last ping is left out.
+    The image is the stored value / 255, or / 65535 for 16 bits. An unfinished last ping is left out.
 
     Args:
         data: Content of the file.
-        name: Its path, for messages.
-        index: Number of a ping, from 0; None for all.
-        bearing_sign: -1 if bearings grow to starboard, 1 if to port.
+        name: Its path, for messages and for the names of the frames.
+        index: Number of a ping, from 0; None means all pings.
+        bearing_sign: -1 if the file's bearings grow to starboard, 1 if they grow to port.
+
+    Yields:
+        Frames (range, beam), in the order of the file.
 
     Raises:
         SonarjaxError: A message, its sizes, bearings or range step are wrong, there is no complete ping, or the index

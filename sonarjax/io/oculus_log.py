@@ -43,12 +43,17 @@ class LogItem:
 
 
 def parse_oculus_log(data: Content, name: str, index: int | None = None) -> Iterator[Frame]:
-    """Yield the pings of an Oculus viewer's log, or only ping `index`; `image` as in `parse_oculus`.
+    """Yield the pings of an Oculus viewer's log, or only ping `index`.
+
+    The image is scaled as in `parse_oculus`.
 
     Args:
         data: Content of the file.
-        name: Its path, for messages.
-        index: Number of a ping, from 0; None for all.
+        name: Its path, for messages and for the names of the frames.
+        index: Number of a ping, from 0; None means all pings.
+
+    Yields:
+        Frames (range, beam), in the order of the file.
 
     Raises:
         SonarjaxError: The file is of another kind, encrypted or without a complete ping, a ping cannot be read, or the

@@ -13,13 +13,16 @@ from sonarjax.io.ros import is_bag
 
 
 def check_outputs(outputs: Mapping[str, str | None], inputs: Iterable[str]) -> None:
-    """Raise a SonarjaxError if an output would replace an input or another output. Call it before writing.
+    """Check, before anything is written, that no output would replace an input or another output.
 
     Links are followed. A device such as /dev/null may be given twice.
 
     Args:
-        outputs: Path of each option; None where it was not given.
+        outputs: Command-line option -> path that was given for it; None if it was not given.
         inputs: Paths, or frames as `path:N`.
+
+    Raises:
+        SonarjaxError: An output would replace an input or another output.
     """
     given = [(option, path) for option, path in outputs.items() if path is not None]
     sources = [split_spec(spec).path for spec in inputs]
@@ -33,7 +36,14 @@ def check_outputs(outputs: Mapping[str, str | None], inputs: Iterable[str]) -> N
 
 
 def make_folder(path: str) -> None:
-    """Make a folder for output, with its parents. Raises SonarjaxError if that fails."""
+    """Make a folder for output, with its parents, unless it is there.
+
+    Args:
+        path: The folder.
+
+    Raises:
+        SonarjaxError: It cannot be made.
+    """
     try:
         os.makedirs(path, exist_ok=True)
     except (OSError, ValueError) as error:
@@ -41,10 +51,16 @@ def make_folder(path: str) -> None:
 
 
 def check_label_files(folder: str, specs: Sequence[str]) -> None:
-    """Raise a SonarjaxError if a `labels_<stem>.npz` in `folder` would replace an input or belong to two inputs.
+    """Check that no `labels_<stem>.npz` in a folder would replace an input or belong to two inputs.
 
-    `specs` are frames as `path` or `path:N`. It is not known yet how many frames a recording holds, so any number is
-    assumed.
+    It is not known yet how many frames a recording holds, so any number is assumed.
+
+    Args:
+        folder: Folder to which the label files will be written; it may be missing.
+        specs: Inputs, as `path` or `path:N`.
+
+    Raises:
+        SonarjaxError: A label file would replace an input, or those of two inputs would have the same name.
     """
     paths = list(dict.fromkeys(split_spec(spec).path for spec in specs))
     stems = {_stem(path): path for path in paths}
@@ -88,7 +104,7 @@ def _identity(path: str) -> tuple[int, int] | None:
 
 
 def _label_names(folder: str) -> list[str]:
-    """Names in `folder` that could be label files. None if the folder is missing: whoever makes it reports problems."""
+    """Names in `folder` that could be label files; none if it cannot be read, which whoever makes it reports."""
     try:
         return [name for name in os.listdir(folder) if name.startswith("labels_") and name.endswith(".npz")]
     except (OSError, ValueError):

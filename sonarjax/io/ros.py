@@ -35,8 +35,16 @@ def is_bag(path: str) -> bool:
 
 
 def bag_topics(path: str) -> dict[str, int]:
-    """Topics of a bag with sonar images, and the number of messages in each. Raises SonarjaxError as
-    `bag_records` does.
+    """Count the sonar images of a bag by topic.
+
+    Args:
+        path: The bag.
+
+    Returns:
+        Topic with sonar images -> number of its messages.
+
+    Raises:
+        SonarjaxError: The file is missing or not a bag, or `rosbags` is not installed.
     """
     with _opened(path) as reader:
         return _counts(reader)
@@ -74,17 +82,22 @@ def bag_records(path: str, topic: str | None = None, index: int | None = None) -
 
 
 def write_bag(path: str | os.PathLike[str], frames: Iterable[Frame], topic: str = TOPIC) -> int:
-    """Write frames (range, beam) as sonar images: ROS 1 in a `.bag`, ROS 2 in a `.mcap`, else ROS 2 in a bag's new
-    folder.
+    """Write frames as the sonar images of a ROS bag.
 
-    Values are rounded to 16 bits.
+    Values are rounded to 16 bits. A frame whose `meta` has no `time_s` gets the time of its number times 0.1 s.
+
+    Args:
+        path: A file ending in .bag (ROS 1) or .mcap (ROS 2), or the new folder of a ROS 2 bag.
+        frames: Frames (range, beam), with their geometry.
+        topic: Topic to which they are written.
 
     Returns:
         The number of frames.
 
     Raises:
-        SonarjaxError: The folder exists, the path cannot be written, or a frame's geometry is not known. Then nothing
-            is left behind, and what was there before is kept.
+        SonarjaxError: The folder exists, the path cannot be written, `rosbags` is not installed, a frame's geometry is
+            not known, or a frame has pixels that were not measured. Then nothing is left behind, and what was there
+            before is kept.
     """
     target = Path(path)
     ending = target.suffix.lower()

@@ -17,6 +17,13 @@ TOML_LIMIT = 16 * 2**20
 def parse_toml(data: bytes, name: str) -> dict[str, Any]:
     """Parse a TOML document into a dict.
 
+    Args:
+        data: Content of the file.
+        name: Its path, for messages.
+
+    Returns:
+        The document, with tables as dicts.
+
     Raises:
         SonarjaxError: It is not UTF-8, not TOML (the message gives line and column), or nested too deeply.
     """
@@ -32,8 +39,14 @@ def parse_toml(data: bytes, name: str) -> dict[str, Any]:
 def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Read a TOML file into a dict.
 
+    Args:
+        path: File to read; it may be empty.
+
+    Returns:
+        The document, with tables as dicts.
+
     Raises:
-        SonarjaxError: The file is missing, a folder or too large, or `parse_toml` refuses it.
+        SonarjaxError: The file is missing, a folder, a device, unreadable or too large, or `parse_toml` refuses it.
     """
     name = os.fspath(path)
     return parse_toml(read_bytes(name, allow_empty=True, limit=TOML_LIMIT), name)

@@ -47,7 +47,16 @@ class Peaks:
 
 
 def decide(scores: Float[Array, " yaw"], yaws: Float[Array, " yaw"], threshold: Any) -> Decision:
-    """Eq. 5: the best of `scores` (yaw,) and its yaw, of `yaws` (yaw,) [rad]; identified if it reaches `threshold`."""
+    """Decide by the best score whether the target is shown, and at which yaw (eq. 5).
+
+    Args:
+        scores: Score of each yaw (yaw,).
+        yaws: Yaws (yaw,) [rad].
+        threshold: Least score at which the target counts as identified.
+
+    Returns:
+        The best score: `identified`, `score`, its index `yaw_bin` and its `yaw` [rad].
+    """
     scores, yaws = jnp.asarray(scores), jnp.asarray(yaws)
     best = jnp.argmax(scores)
     return Decision(scores[best] >= threshold, scores[best], best, yaws[best])
@@ -63,7 +72,7 @@ def peaks(
     min_prominence: Any = 0.02,
     min_separation: Any = 0.5,
 ) -> Peaks:
-    """Local maxima of the score curve over the full circle, best first, at most `max_peaks`.
+    """Find the local maxima of the score curve over the full circle, best first.
 
     The best bin is always the first hypothesis.
 
@@ -74,6 +83,10 @@ def peaks(
         min_height: Least score of another hypothesis, as a share of the best.
         min_prominence: Least height over the saddle to any higher score (correlation).
         min_separation: Least distance from every better hypothesis [rad]; 0.5 rad is three bins of the paper's 10°.
+
+    Returns:
+        Arrays (peak,) of length `max_peaks`: `yaw` [rad], `score`, `yaw_bin`, `prominence`, and `valid`, which is false
+        for padding.
     """
     scores, yaws = jnp.asarray(scores), jnp.asarray(yaws)
     rise = prominence(scores)
@@ -100,9 +113,14 @@ def peaks(
 
 
 def between_bins(scores: Float[np.ndarray, " yaw"], best: int) -> float:
-    """Position of the maximum of the parabola through bin `best` and its neighbours, in bins from it: -0.5 to 0.5.
+    """Find the maximum of the parabola through the best bin and its two neighbours.
 
-    `scores` (yaw,) cover the full circle.
+    Args:
+        scores: Scores (yaw,) over the full circle.
+        best: Index of the best bin.
+
+    Returns:
+        Position of the maximum relative to bin `best` [bins], -0.5 to 0.5; 0 if the parabola has no maximum.
     """
     left, middle, right = (float(scores[(best + k) % len(scores)]) for k in (-1, 0, 1))
     bend = left - 2 * middle + right

@@ -21,7 +21,7 @@ from sonarjax.io.errors import SonarjaxError
 from sonarjax.match.compact import CompactBank, centred_on_host, window_scale
 from sonarjax.match.low_rank import Factors, combined, factors
 from sonarjax.match.ncc import MatchPositions
-from sonarjax.match.search import SearchConfig, TargetSearch, decimated
+from sonarjax.match.search import NOT_SEEN, SearchConfig, TargetSearch, decimated
 from sonarjax.match.spectra import correlate, frame_spectrum, over_chunks, pack
 from sonarjax.render import WindowSize, template_bank
 
@@ -51,11 +51,16 @@ class Sighting(NamedTuple):
 
 
 def leading(found: Sequence[Mapping[str, Sighting]], config: SearchConfig) -> list[str]:
-    """Names of the targets to search closely, best first.
+    """Name the targets to search closely, best first.
+
+    Targets are ordered by the better of their scores in map and frame. The first two need not be within `lead`.
 
     Args:
         found: Sightings by target name: those in the map, then those in the frame itself.
         config: Its `candidates` and `lead` limit which targets are taken.
+
+    Returns:
+        Names of the targets.
     """
     short = {name: np.inf for name in found[0]}
     for share, sightings in zip(LEADS, found, strict=False):
@@ -90,10 +95,13 @@ class FirstLook:
     """The low-rank banks of a catalogue of targets for one sonar."""
 
     def __init__(self, searches: Sequence[TargetSearch]) -> None:
-        """Set up the banks of `searches`, which must share one sonar and one config.
+        """Set up the banks of several targets.
 
         The banks are rendered when a frame first needs them. From now on, all searches render in windows of one shared
         size, so that they share compiled code; this changes the searches themselves.
+
+        Args:
+            searches: Searches of the targets, which must share one sonar and one config.
         """
         self.searches = list(searches)
         sizes = [search.size for search in self.searches]
@@ -124,20 +132,37 @@ class FirstLook:
         return self._residual
 
     def prepare(self, progress: Callable[[int, int], None] = lambda done, of: None) -> list[_Shelf]:
-        """Render all banks unless already done; `progress` is told how many distances are done, and their total."""
+        """Render all banks unless this is already done.
+
+        Args:
+            progress: Called with the number of distances that are done, and the number of all distances.
+
+        Returns:
+            The banks, one for each distance at which any target is in view.
+
+        Raises:
+            SonarjaxError: No target is in view at any distance.
+        """
         if self._shelves is None:
             drawn = []
             for k, distance in enumerate(self._distances):
                 drawn.append(self._draw(distance))
                 progress(k + 1, len(self._distances))
-            self._shelves = self._shelved([one for one in drawn if one is not None])
+            seen = [one for one in drawn if one is not None]
+            if not seen:
+                raise SonarjaxError(NOT_SEEN.format("targets"))
+            self._shelves = self._shelved(seen)
         return self._shelves
 
     def best(self, image: np.ndarray, mask: np.ndarray | None = None) -> dict[str, Sighting]:
-        """Find where each target matches best in `image` (range, beam).
+        """Find where each target matches a frame or semantic map best.
+
+        Args:
+            image: Frame or semantic map (range, beam).
+            mask: True where it was measured (range, beam); None means everywhere. Other pixels count as background.
 
         Returns:
-            The sightings by target name. Pixels that were not measured (`mask` false) count as background.
+            Sightings by target name, without targets that are in view at no distance.
         """
         small = decimated(image if mask is None else np.where(mask, image, 0.5), self.config.decimation)
         shelves = self.prepare()

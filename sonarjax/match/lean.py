@@ -70,16 +70,30 @@ class LeanSearch:
     def __init__(
         self, search: TargetSearch, free: Sequence[str], config: LeanSearchConfig = LeanSearchConfig()
     ) -> None:
-        """Use `search` to find the place; of z, roll and pitch, try those in `free`."""
+        """Set up the banks of a target's leaning poses.
+
+        Args:
+            search: The search that finds the target's place.
+            free: Names of the numbers to try, from z, roll and pitch.
+            config: Which poses are tried.
+        """
         self.search, self.config = search, config
         self.attitudes = _attitudes(search.mesh, free, config)
         self._banks: dict[tuple[int, bool], _Bank] = {}
 
     def find(self, image: np.ndarray, mask: np.ndarray | None = None) -> LeanMatch:
-        """The poses that match `image` (range, beam) best; only pixels where `mask` is true count.
+        """Find the poses that match a frame or semantic map best.
+
+        Args:
+            image: Frame or semantic map (range, beam).
+            mask: True for the pixels that count (range, beam); None for all.
+
+        Returns:
+            `poses` (candidate,) [m, rad] and their `scores` (candidate,), best first.
 
         Raises:
-            SonarjaxError: No part of the target can be seen at any distance.
+            SonarjaxError: No part of the target can be seen at any distance, or none of its leaning poses at
+                the distance where it was found.
         """
         search, step = self.search, self.search.config.decimation
         place = search.place(search.find(np.asarray(image, np.float32), mask))
@@ -100,7 +114,7 @@ class LeanSearch:
         return LeanMatch(Pose(*np.asarray(poses, np.float32).T), np.asarray(scores)[kept])
 
     def _bank(self, index: int, masked: bool) -> _Bank:
-        """The bank at distance number `index`, or at the next distance at which the object is in view."""
+        """The bank at distance number `index`. Raises SonarjaxError if the object is out of view there."""
         if (index, masked) not in self._banks:
             search, step = self.search, self.search.config.decimation
             yaws, z, roll, pitch = self.attitudes.T

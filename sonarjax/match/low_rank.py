@@ -46,9 +46,13 @@ def low_rank_bank(bank: Any, image_shape: tuple[int, int], rank: int) -> LowRank
     """Approximate a bank by a few components.
 
     Args:
-        bank: A bank with `.templates` (template, h, w), or such an array.
+        bank: Templates (template, h, w), or a record with `.templates`.
         image_shape: Shape (range, beam) of the frames to match.
-        rank: Number of components.
+        rank: Number of components; fewer are made if there are fewer templates or pixels than that.
+
+    Returns:
+        The `components` with their spectra, the `coefficients` (template, component) that combine them into unit
+        templates, and the norm `residual` (template,) of what they leave of each template.
 
     Raises:
         SonarjaxError: `rank` is below 1, or the templates are larger than the frame.
@@ -102,13 +106,18 @@ def _leading(unit: np.ndarray, rank: int) -> np.ndarray:
 
 
 def match_low_rank(image: Float[AnyArray, "range beam"], low_rank: LowRankBank) -> MatchPositions:
-    """Approximate eq. 4 for all templates on `image` (range, beam).
+    """Approximate eq. 4 for all templates of a low-rank bank.
 
     The error of a score is at most the template's `residual`. This follows from the Cauchy-Schwarz inequality, because
     windows have norm 1 in eq. 4.
 
+    Args:
+        image: The frame (range, beam).
+        low_rank: The bank, from `low_rank_bank`.
+
     Returns:
-        The best score (template,) of each template, and the corner of its best window.
+        The best score of each template, `scores` (template,), and the corner of its best window: `row` (template,) and
+        `col` (template,).
 
     Raises:
         SonarjaxError: The shapes do not fit.
@@ -156,7 +165,7 @@ def scores_at(image: Float[AnyArray, "range beam"], bank: Any, places: MatchPosi
 
     Args:
         image: The frame (range, beam).
-        bank: A bank with `.templates` (template, h, w), or such an array.
+        bank: Templates (template, h, w), or a record with `.templates`.
         places: The window of each template, as `match_low_rank` returns them.
 
     Returns:

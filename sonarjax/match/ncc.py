@@ -58,9 +58,15 @@ class PreparedBank:
 
 
 def prepare_bank(bank: Any, image_shape: tuple[int, int], *, masked: bool = False) -> PreparedBank:
-    """`bank` (its `.templates` (yaw, h, w)) together with its spectra for frames of `image_shape` (range bins, beams).
+    """Compute the spectra of a bank once, which halves the cost of matching it with many frames.
 
-    `masked` also keeps what matching with a mask needs.
+    Args:
+        bank: Templates (yaw, h, w), or a record with `.templates`.
+        image_shape: Shape (range, beam) of the frames to match.
+        masked: Keep also what matching with a mask needs.
+
+    Returns:
+        The bank's `templates` (yaw, h, w) and their `spectra`, to be given to `match_bank` and the like.
 
     Raises:
         SonarjaxError: A template is larger than the frame.
@@ -78,11 +84,11 @@ def match_bank(
     min_valid: float = MIN_VALID,
     template_mask: Bool[AnyArray, "yaw h w"] | None = None,
 ) -> Float[Array, " yaw"]:
-    """Scores of eq. 4: the largest correlation of each template with the image, over all positions.
+    """Return the largest correlation of each template with a frame, over all positions (eq. 4).
 
     Args:
         image: The frame (range, beam), finite where measured.
-        bank: Holds `.templates` (yaw, h, w), and optionally `.spectra` (see `prepare_bank`).
+        bank: Templates (yaw, h, w), or a record with `.templates` and optionally `.spectra` (see `prepare_bank`).
         mask: True for the pixels that count (range, beam); None for all.
         min_valid: A window scores 0 if less than this share of the template's pixels was measured.
         template_mask: True for the pixels of each template that count (yaw, h, w); None for all.
@@ -105,10 +111,7 @@ def match_positions(
     template_mask: Bool[AnyArray, "yaw h w"] | None = None,
     whole: bool = False,
 ) -> MatchPositions:
-    """Scores (yaw,) as in `match_bank`, and where each is reached: row (yaw,) and column (yaw,) of the window's
-    top-left corner.
-
-    Raises the same errors as `match_bank`.
+    """Return the scores of `match_bank`, and the window where each is reached (eq. 4).
 
     Args:
         image: The frame (range, beam), finite where measured.
@@ -117,7 +120,14 @@ def match_positions(
         min_valid: As in `match_bank`.
         template_mask: True for the pixels of each template that count (yaw, h, w); None for all.
         whole: Count the part of a template over pixels outside `mask` as unmatched, and require that half of its
-            highlight was measured. Then no template fits merely because most of it was not measured.
+            highlight was measured. Then no template fits merely because most of it was not measured. This has no effect
+            without `mask`, or with `template_mask`.
+
+    Returns:
+        `scores` (yaw,) from -1 to 1, and the top-left corner of each best window: `row` (yaw,) and `col` (yaw,).
+
+    Raises:
+        SonarjaxError: Shapes do not fit.
     """
     return _match(image, bank, mask, template_mask, min_valid, best_position, whole)
 
@@ -130,9 +140,20 @@ def correlation_maps(
     min_valid: float = MIN_VALID,
     template_mask: Bool[AnyArray, "yaw h w"] | None = None,
 ) -> Float[Array, "yaw row col"]:
-    """Eq. 4 at every window position (yaw, row, col) of `image` (range, beam): range − h + 1 by beam − w + 1 positions.
+    """Return eq. 4 for each template at every window position of a frame.
 
-    Arguments and errors as in `match_bank`; `template_mask` is (yaw, h, w).
+    Args:
+        image: The frame (range, beam), finite where measured.
+        bank: As in `match_bank`.
+        mask: True for the pixels that count (range, beam); None for all.
+        min_valid: As in `match_bank`.
+        template_mask: True for the pixels of each template that count (yaw, h, w); None for all.
+
+    Returns:
+        Correlations (yaw, row, col) from -1 to 1, at range − h + 1 by beam − w + 1 positions.
+
+    Raises:
+        SonarjaxError: Shapes do not fit.
     """
     return _match(image, bank, mask, template_mask, min_valid, _whole_map)
 

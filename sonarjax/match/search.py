@@ -1,7 +1,7 @@
 """Where in a frame an object is, and at which yaw bin: banks at several distances, coarse first (eq. 4).
 
-`TargetSearch` is prepared for one target and one sonar. What it renders and matches are pure functions; which bank is
-looked at next is decided on the host.
+`TargetSearch` is prepared for one target and one sonar. Rendering and matching are pure functions; which bank is
+matched next is decided on the host.
 """
 
 from __future__ import annotations
@@ -64,13 +64,14 @@ class SearchConfig:
 
     More candidates include the right one a little more often, and take longer (experiments/fit_candidates.py)."""
     lead: float = 0.1
-    """Targets are no candidates if the first look finds them this much worse than the best: in correlation with the
-    map, or in half the correlation with the frame itself. The two best are always candidates."""
+    """A target is a candidate only if it is at most this much worse than the best in the first look, in correlation
+    with the map, or at most half as much worse in correlation with the frame itself. The two best are always
+    candidates."""
     rank: int = 64
     """Components of the low-rank bank that represents all targets' templates at one distance in the first look."""
 
     def __post_init__(self) -> None:
-        """Raises SonarjaxError for fewer than 4 yaw bins (peaks over yaw need neighbours), or counts below 1."""
+        """Raise a SonarjaxError for fewer than 4 yaw bins (peaks need neighbours), no step, or counts below 1."""
         if self.yaw_bins < 4:
             raise SonarjaxError(f"yaw_bins: expected 4 or more, got {self.yaw_bins}")
         counts = self.coarse_every, self.coarse_yaws, self.decimation, self.hypotheses, self.candidates, self.rank
@@ -107,9 +108,16 @@ class TargetSearch:
     ) -> None:  # fmt: skip
         """Prepare the search. Banks are rendered when a frame first needs them.
 
-        `compact` keeps few banks, and small ones, at some cost in time.
+        Args:
+            mesh: The target.
+            sonar: The sonar.
+            config: How to search.
+            name: Name of the target, for error messages.
+            engine: Runs the compiled functions.
+            compact: Keep few banks, and small ones, at some cost in time.
 
-        Raises SonarjaxError if no distance is in view or too many are, or the mesh is larger than the sonar's range.
+        Raises:
+            SonarjaxError: No distance is in view or too many are, or the mesh is larger than the sonar's range.
         """
         check_fits(mesh, sonar, name)
         self.mesh, self.sonar, self.config, self.name, self.engine = mesh, sonar, config, name, engine
@@ -120,9 +128,17 @@ class TargetSearch:
         self.size = _bank_window(mesh, sonar, float(self.distances[0]))
 
     def find(self, image: np.ndarray, mask: np.ndarray | None = None) -> Match:
-        """The best match in `image` (range, beam) over distances: a coarse search, then banks near its best.
+        """Find the best match over all distances: a coarse search, then banks near its best.
 
-        Raises SonarjaxError when no part of the target can be seen at any distance.
+        Args:
+            image: Frame or semantic map (range, beam).
+            mask: True for the pixels that count (range, beam); None for all.
+
+        Returns:
+            The best match.
+
+        Raises:
+            SonarjaxError: No part of the target can be seen at any distance.
         """
         every, masked = self.config.coarse_every, mask is not None
         small = decimated(image, self.config.decimation), self._small_mask(mask)
@@ -134,9 +150,19 @@ class TargetSearch:
         return self.find_near(self._nearest(first), image, mask)
 
     def find_near(self, index: int, image: np.ndarray, mask: np.ndarray | None = None) -> Match:
-        """The best match in `image` (range, beam) of the bank at distance number `index`, or of one nearer its place.
+        """Match the bank at one distance, then the bank nearest to where that one found the object.
 
-        Raises SonarjaxError when no part of the target can be seen at any distance.
+        Args:
+            index: Number of the distance, in `distances`. If the target is out of view there, the nearest distance at
+                which it is in view is taken instead.
+            image: Frame or semantic map (range, beam).
+            mask: True for the pixels that count (range, beam); None for all.
+
+        Returns:
+            The better of the two matches.
+
+        Raises:
+            SonarjaxError: No part of the target can be seen at any distance.
         """
         masked = mask is not None
         index = self._in_view(index, masked)
@@ -159,7 +185,14 @@ class TargetSearch:
         return found
 
     def place(self, match: Match) -> tuple[float, float]:
-        """Ground (x, y) [m] of the object of a match."""
+        """Return the place of a match's object on the ground.
+
+        Args:
+            match: A match that this search found.
+
+        Returns:
+            Ground position x, y [m], forward and to port.
+        """
         slant, azimuth = bank_place(match.bank, self.sonar)
         centers = np.asarray(self.sonar.azimuth)
         beam = np.interp(azimuth, centers, np.arange(len(centers))) + match.columns

@@ -55,9 +55,15 @@ class TemplateSpectra:
 def template_spectra(
     templates: Float[Array, "yaw h w"], image_shape: tuple[int, int], *, masked: bool = False
 ) -> TemplateSpectra:
-    """Spectra of `templates` (yaw, h, w) for frames of `image_shape` (range bins, beams), to be kept with the bank.
+    """Compute the spectra of templates for frames of one shape, to be kept with the bank.
 
-    `masked` adds what matching with a mask needs.
+    Args:
+        templates: The templates (yaw, h, w).
+        image_shape: Shape (range, beam) of the frames to match.
+        masked: Add what matching with a mask needs.
+
+    Returns:
+        The spectra, to be given as `.spectra` of a bank to `match_bank` and the like.
 
     Raises:
         SonarjaxError: A template is larger than the frame.

@@ -4,24 +4,22 @@ from sonarjax.refine.candidates import COMPARISON, Look, apart, compared, look_c
 from sonarjax.refine.config import RefineConfig
 from sonarjax.refine.errorbar import ERROR_BAR, POSE_ERROR_BAR, ErrorBar, PoseErrorBar
 from sonarjax.refine.evidence import Evidence, gather_evidence
-from sonarjax.refine.find import FINDING, PoseFinder
+from sonarjax.refine.find import PoseFinder
 from sonarjax.refine.pose import Drawn, PoseEstimate, plan_refinement, prepare_refinement, refine_pose
 from sonarjax.refine.staged import MAP_SHARE, RefinedStart, refine_starts
 from sonarjax.refine.starts import (
     FRAME_BLURS,
-    FRAME_ITERATION_FACTOR,
     MAP_REFINEMENT,
     Candidate,
     Start,
     curve_evidence,
-    is_kept,
     locate,
     make_starts,
     on_frame,
     peak_bins,
 )
 from sonarjax.refine.views import in_common, in_view
-from sonarjax.refine.yaw import YawEstimate, refine_and_draw, refine_yaw
+from sonarjax.refine.yaw import YawEstimate, refine_yaw
 from sonarjax.refine.yaw_set import (
     SAME_YAW,
     YAW_WEIGHTS,
@@ -35,11 +33,10 @@ from sonarjax.refine.yaw_set import (
 )
 
 __all__ = [
-    "COMPARISON", "ERROR_BAR", "FINDING", "FRAME_BLURS", "FRAME_ITERATION_FACTOR", "MAP_REFINEMENT", "MAP_SHARE",
-    "POSE_ERROR_BAR", "SAME_YAW", "YAW_WEIGHTS", "Candidate", "Drawn", "ErrorBar", "Evidence", "Look", "PoseErrorBar",
-    "PoseEstimate", "PoseFinder", "RefineConfig", "RefinedStart", "Start", "YawEstimate", "YawInterval", "YawMode",
-    "YawSet", "YawWeights", "apart", "compared", "curve_evidence", "gather_evidence", "in_common", "in_view",
-    "is_kept", "locate", "look_closely", "make_starts", "make_yaw_set", "merged", "on_frame", "peak_bins",
-    "plan_refinement", "plan_shared", "prepare_refinement", "quick_evidence", "refine_and_draw", "refine_pose",
-    "refine_starts", "refine_yaw", "shares",
+    "COMPARISON", "ERROR_BAR", "FRAME_BLURS", "MAP_REFINEMENT", "MAP_SHARE", "POSE_ERROR_BAR", "SAME_YAW",
+    "YAW_WEIGHTS", "Candidate", "Drawn", "ErrorBar", "Evidence", "Look", "PoseErrorBar", "PoseEstimate", "PoseFinder",
+    "RefineConfig", "RefinedStart", "Start", "YawEstimate", "YawInterval", "YawMode", "YawSet", "YawWeights", "apart",
+    "compared", "curve_evidence", "gather_evidence", "in_common", "in_view", "locate", "look_closely", "make_starts",
+    "make_yaw_set", "merged", "on_frame", "peak_bins", "plan_refinement", "plan_shared", "prepare_refinement",
+    "quick_evidence", "refine_pose", "refine_starts", "refine_yaw", "shares",
 ]  # fmt: skip

@@ -51,10 +51,23 @@ def look_closely(
     targets: Mapping[str, TargetSearch], first_look: FirstLook | None, config: SearchConfig,
     pictures: Sequence[np.ndarray], mask: np.ndarray | None, engine: Engine,
 ) -> list[Look]:  # fmt: skip
-    """Match the candidates with the `pictures` (range, beam): the map, and optionally the frame. Best first.
+    """Match the candidate targets with the map of a frame, and optionally with the frame itself.
 
-    Where a segmenter fails, the match on the frame may still be right. `first_look` selects the candidates among many
-    targets. `mask` (range, beam) is true where a pixel was measured. Raises SonarjaxError as `TargetSearch.find` does.
+    Where a segmenter fails, the match on the frame may still be right.
+
+    Args:
+        targets: The search of each target, by name.
+        first_look: Selects the candidates among many targets; None takes all targets.
+        config: Its `candidates` and `lead` limit what the first look selects.
+        pictures: The map (range, beam), and optionally the frame (range, beam).
+        mask: True where a pixel was measured (range, beam); None means everywhere.
+        engine: Runs the compiled functions.
+
+    Returns:
+        One look for each candidate, the best match on the map first.
+
+    Raises:
+        SonarjaxError: No part of a target can be seen at any distance (as `TargetSearch.find`).
     """
     near: list[Mapping[str, Any]] = [dict.fromkeys(targets)] * len(pictures)
     names = list(targets)
@@ -70,7 +83,17 @@ def look_closely(
 
 
 def plan_shared(mesh: Mesh, sonar: Sonar, at: Pose, config: RefineConfig) -> WindowSize:
-    """As `plan_refinement` for a start `at` a pose [m, rad], rounded up so that many targets share compiled code."""
+    """Plan the window of a refinement in coarse steps, so that many targets share compiled code.
+
+    Args:
+        mesh: The object.
+        sonar: The sonar.
+        at: Where refinement starts [m, rad].
+        config: How refinement searches.
+
+    Returns:
+        The size from `plan_refinement`, rounded up to multiples of `STEPS` and limited to the frame.
+    """
     needed = plan_refinement(mesh, sonar, at, config)
     sizes = *needed.shape, needed.object_columns or sonar.n_beams
     most = sonar.n_ranges, sonar.n_beams, sonar.n_beams
@@ -82,19 +105,21 @@ def quick_evidence(
     looks: Sequence[Look], image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None, config: RefineConfig,
     window: Callable[[TargetSearch, Pose], WindowSize | None], engine: Engine,
 ) -> list[dict[str, float]]:  # fmt: skip
-    """Gather the evidence for each of `looks`, after a brief refinement on the frame `image` (range, beam).
+    """Gather the evidence for each look, after a brief refinement on the frame.
+
+    A target is refined from its best bin on the map and from that on the frame. The better fit to the frame counts.
 
     Args:
-        looks: The candidates. Each is refined from its best bin on the map and on the frame.
+        looks: The candidates.
         image: The grey frame (range, beam).
         seen: Its semantic map (range, beam).
-        mask: True (range, beam) where a pixel was measured.
-        config: The full refinement, of which fewer iterations are done.
-        window: Gives the window that refinement of a target at a pose [m, rad] needs.
-        engine: Runs compiled functions.
+        mask: True where a pixel was measured (range, beam); None means everywhere.
+        config: The full refinement on the map. That on the frame derives from it (`on_frame`), with fewer iterations.
+        window: Gives the window that refinement of a target at a pose [m, rad] needs; None lets refinement plan it.
+        engine: Runs the compiled functions.
 
     Returns:
-        The inputs of `compared` [1] by name, for each of `looks`.
+        The inputs of `compared` [1] by name, for each look.
     """
     brief = replace(on_frame(config), iterations=QUICK_ITERATIONS)
     starts = [(k, start) for k, look in enumerate(looks) for start in apart(make_starts(*look, seen, image, 1))]
@@ -115,7 +140,15 @@ def quick_evidence(
 
 
 def compared(looks: Sequence[Look], evidence: Sequence[Mapping[str, float]]) -> list[tuple[Look, float]]:
-    """Order the looks by `COMPARISON`, likeliest first; each with the probability [1] that it is the one shown."""
+    """Order the looks by how likely each is the one shown, as `COMPARISON` weighs the evidence.
+
+    Args:
+        looks: The candidates.
+        evidence: The numbers that `COMPARISON` names [1], for each look.
+
+    Returns:
+        The looks, the likeliest first, each with the probability [1] that it is the one shown. They sum to 1.
+    """
     odds = np.array([sum(weight * one[name] for name, weight in COMPARISON.items()) for one in evidence])
     shares = np.exp(odds - odds.max())
     shares /= shares.sum()
@@ -123,7 +156,14 @@ def compared(looks: Sequence[Look], evidence: Sequence[Mapping[str, float]]) -> 
 
 
 def apart(starts: list[Start]) -> list[Start]:
-    """The starts, without those whose yaw is within `SAME_START` of an earlier one's."""
+    """Drop the starts whose yaw is within `SAME_START` of that of an earlier start.
+
+    Args:
+        starts: The starts, the most important first.
+
+    Returns:
+        The starts that are left, in the same order.
+    """
     kept: list[Start] = []
     for start in starts:
         turns = (float(start.begin.yaw) - float(one.begin.yaw) for one in kept)

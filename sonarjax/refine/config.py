@@ -69,5 +69,12 @@ class RefineConfig:
             )
 
     def bound(self, name: str) -> float:
-        """Largest change of a number of the pose [rad or m]."""
+        """Look up the largest change of one number of the pose.
+
+        Args:
+            name: One of yaw, x, y, z, roll and pitch.
+
+        Returns:
+            The largest change from the start, in [m] for x, y and z and in [rad] for the angles.
+        """
         return dict(zip(ALL, (*self.bounds, *self.lean_bounds), strict=True))[name]

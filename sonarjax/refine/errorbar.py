@@ -1,8 +1,8 @@
-"""How large the errors of a refined yaw are, judged by how well the frame shows the yaw, and those of a whole pose.
+"""Error bars of a refined yaw, judged by how well the frame shows the yaw, and of a complete pose.
 
 The curvature of the objective accounts for the residuals, but not for what the template lacks: bounces, another
-brightness of faces, a slightly wrong tilt or height. On validation frames it says little about the errors. These are
-large where the score hardly falls beside the best yaw, and where much of the frame is left over.
+brightness of faces, a slightly wrong tilt or height. On validation frames it says little about the errors. The errors
+are large where the score hardly falls beside the best yaw, and where much of the frame is left over.
 """
 
 from __future__ import annotations
@@ -17,9 +17,10 @@ from sonarjax.refine.free import NUMBERS
 
 
 class ErrorBar(NamedTuple):
-    """log `yaw_std` = `offset` + `map_drop` log(m + `FLAT`) + `frame_drop` log(f + `FLAT`) + `left_over` l.
+    """How the standard deviation of a refined yaw follows from the evidence of its frame.
 
-    m and f are the evidence of the names `map_drop` and `frame_drop`, l is `Evidence.left_over`.
+    log `yaw_std` = `offset` + `map_drop` log(m + `FLAT`) + `frame_drop` log(f + `FLAT`) + `left_over` l. Here m and f
+    are `map_drop` and `frame_drop` of `curve_evidence`, and l is `Evidence.left_over`.
     """
 
     offset: float
@@ -35,9 +36,16 @@ class ErrorBar(NamedTuple):
         self, curvature_std: np.ndarray, map_drop: np.ndarray | float, frame_drop: np.ndarray | float,
         left_over: np.ndarray,
     ) -> np.ndarray:  # fmt: skip
-        """Standard deviations of yaw [rad] (*batch), never below `curvature_std` [rad] (*batch).
+        """Compute the standard deviations of refined yaws.
 
-        `left_over` [1] is (*batch); the drops [NCC] are (*batch) or one number each.
+        Args:
+            curvature_std: Standard deviations from the curvature (*batch) [rad]. The result is never below them.
+            map_drop, frame_drop: How far the scores in map and frame fall beside the best yaw [NCC], (*batch) or one
+                number each.
+            left_over: `Evidence.left_over` (*batch) [1].
+
+        Returns:
+            Standard deviations of yaw (*batch) [rad].
         """
         powers = self.map_drop * log_drop(map_drop) + self.frame_drop * log_drop(frame_drop)
         return np.maximum(np.exp(self.offset + powers + self.left_over * left_over), curvature_std)
@@ -73,13 +81,16 @@ class PoseErrorBar(NamedTuple):
         self, curvature: Float[np.ndarray, "*batch free free"], observable: Bool[np.ndarray, "*batch free"],
         free: Sequence[str],
     ) -> Float[np.ndarray, "*batch free free"]:  # fmt: skip
-        """Covariance (free, free) of the errors [m, rad], for each pose of the batch.
+        """Compute the covariance of the errors of each pose of a batch.
 
         Args:
-            curvature: The covariance (free, free) from the curvature [m, rad].
-            observable: Which numbers (free,) are observable. The others keep their variance, which is that of
-                their bounds.
-            free: The numbers' names, in their order.
+            curvature: Covariance from the curvature (free, free) [m, rad].
+            observable: True for observable numbers (free,). The others keep their variance, which is that of their
+                bounds.
+            free: Names of the free numbers, in their order.
+
+        Returns:
+            Covariance of the errors (free, free) [m, rad].
         """
         each = np.where(observable, self.factor, 1.0)
         added = np.array([self.angle if NUMBERS[name].unit == "rad" else self.place for name in free])

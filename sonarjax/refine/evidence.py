@@ -1,4 +1,4 @@
-"""How well a refined template explains a frame: the evidence for identification, besides the height of eq. 5's peak.
+"""How well a refined template explains a frame: evidence for identification, besides the peak's height (eq. 5).
 
 A threshold on a single correlation does not carry over from one device to another, because noise lowers the target's
 score as much as another object does. What does carry over is whether map and frame agree on something that the template
@@ -44,7 +44,7 @@ def gather_evidence(
     frame: Float[Array, "range beam"], semantic: Float[Array, "range beam"], measured: Float[Array, "range beam"],
     template: Float[Array, "range beam"], labels: Float[Array, "range beam"],
 ) -> Evidence:  # fmt: skip
-    """Evidence for a template that was fitted to a frame.
+    """Measure how well a template that was fitted to a frame explains it.
 
     All arguments are windows (range, beam) of one place. Only the box of `labels`, with the bank's margin, counts.
 
@@ -54,6 +54,9 @@ def gather_evidence(
         measured: 1 where a pixel was measured, else 0 (range, beam).
         template: The fitted template (range, beam).
         labels: The semantic template, minus the background's 0.5 (range, beam).
+
+    Returns:
+        The evidence [1], one number for each field.
     """
     inside = measured * box_around(labels, (MARGIN_BINS, MARGIN_BEAMS))
     seen, drawn = normalised(frame, inside), normalised(template, inside)

@@ -1,5 +1,6 @@
-"""`PoseFinder`: find the complete pose of a known object in a frame, without a start: banks over lean, then
-`refine_pose`.
+"""`PoseFinder`: find the complete pose of a known object in a frame, without a start.
+
+It matches banks of leaning poses, and refines the best matches by `refine_pose`.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from sonarjax.render import WindowSize
 from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS
 from sonarjax.scene import Mesh, Pose
 from sonarjax.segment import DEFAULT_SEGMENTER, Segmenter, load_segmenter
-from sonarjax.sonar import Sonar
+from sonarjax.sonar import Sonar, checked_image
 
 FINDING = RefineConfig(
     bounds=(math.radians(20.0), 0.08, 0.08), lean_bounds=(0.06, math.radians(15.0), math.radians(15.0)),
@@ -74,11 +75,11 @@ class PoseFinder:
             search: How the place is searched for.
             lean: Which leaning poses are tried.
             refine: How candidates are refined.
-            error_bar: What the errors are beyond those that the curvature tells; None for the curvature alone.
+            error_bar: Turns the curvature's covariance into that of the errors; None keeps that of the curvature.
             engine: Runs the compiled functions.
 
         Raises:
-            SonarjaxError: As `Recognizer` and `refine_pose`.
+            SonarjaxError: As `Recognizer` for target, sonar and segmenter, and as `refine_pose` for `free`.
         """
         self.free, self.refine, self.engine = check_free(free), refine, engine
         self.error_bar = error_bar
@@ -90,23 +91,48 @@ class PoseFinder:
         self.window: WindowSize = plan_refinement(mesh, self.sonar, nearest, refine, self.free)
 
     def __call__(self, image: Any, mask: Any = None) -> PoseEstimate:
-        """The poses (hypothesis,) at which the target may be in `image` (range, beam), best first.
+        """Find the poses at which the target may be in a frame.
 
-        `mask` (range, beam) is true where a pixel was measured.
+        Args:
+            image: The frame (range, beam).
+            mask: True where a pixel was measured (range, beam); None means everywhere.
+
+        Returns:
+            The poses (hypothesis,), best first.
 
         Raises:
-            SonarjaxError: A shape does not fit the sonar.
+            SonarjaxError: A shape does not fit the sonar, or no part of the target can be seen at any distance.
         """
         return self.hypotheses(self.prepared(image, mask))
 
     def prepared(self, image: Any, mask: Any = None) -> Prepared:
-        """The frame (range, beam) with its semantic map. Raises SonarjaxError if a shape does not fit the sonar."""
-        image = np.asarray(image, np.float32)
-        mask = None if mask is None else np.asarray(mask, bool)
+        """Segment a frame, so that `hypotheses` can search it.
+
+        Args:
+            image: The frame (range, beam).
+            mask: True where a pixel was measured (range, beam); None means everywhere.
+
+        Returns:
+            The frame with its semantic map.
+
+        Raises:
+            SonarjaxError: A shape does not fit the sonar, or a value is not finite.
+        """
+        image, mask = checked_image(image, mask, self.sonar)
         return Prepared(image, np.asarray(self.segmenter.semantic(image, mask, self.engine)), mask)
 
     def hypotheses(self, frame: Prepared) -> PoseEstimate:
-        """The poses (hypothesis,) at which the target may be, best first: matched and refined on map and frame."""
+        """Find the poses at which the target may be, by matching and refining on map and frame.
+
+        Args:
+            frame: The frame with its semantic map, from `prepared`.
+
+        Returns:
+            The poses (hypothesis,), best first.
+
+        Raises:
+            SonarjaxError: A shape does not fit the sonar, or no part of the target can be seen at any distance.
+        """
         found = [self.lean.find(picture, frame.mask) for picture in (frame.semantic, frame.image)]
         start = jax.tree.map(lambda *v: np.concatenate(v), *(match.poses for match in found))
         on_map = self._refined(frame.semantic, start, self.refine, frame)
@@ -138,13 +164,16 @@ class PoseFinder:
         return jax.tree.map(lambda *v: np.concatenate([np.asarray(x) for x in v]), *(moved or [poses]))
 
     def views(self, images: Any, sonar_poses: Pose, alone: Sequence[PoseEstimate] | None = None) -> PoseEstimate:
-        """The poses (hypothesis,) that explain several views of one object at rest, best first.
+        """Find the poses that explain several views of one object at rest.
 
         Args:
             images: Frames (view, range, beam).
             sonar_poses: x, y [m] and yaw [rad] of each sonar (view,) in a common ground frame, which is that of the
                 result.
-            alone: What the finder says about each view by itself, if that is known already.
+            alone: The finder's estimate for each view by itself; None lets the finder make them.
+
+        Returns:
+            The poses (hypothesis,) in the common frame, best first.
 
         Raises:
             SonarjaxError: As `refine_pose`.

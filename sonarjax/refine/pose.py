@@ -108,14 +108,14 @@ def refine_pose(
     vertices and sonar (see `implicit`); they are zero where `determined` is False.
 
     Args:
-        image: Semantic map, or any grey image in which highlight is brighter than shadow: (range, beam), with a leading
-            batch axis, or (view, range, beam) with `sonar_poses`.
+        image: Semantic map (range, beam), or any grey image in which highlight is brighter than shadow. It may have a
+            leading batch axis; with `sonar_poses` it is (view, range, beam).
         mesh: The object.
         sonar: The sonar.
         start: Where to start [m, rad]: one pose for each frame of the batch. With one more axis it holds several
             hypotheses for each frame, and the estimate keeps that axis.
         free: Any of yaw, x, y, z, roll and pitch. The others stay as in the start.
-        mask: True where a pixel was measured; the image's shape.
+        mask: True where a pixel was measured, in the image's shape; None means everywhere.
         config: How to search.
         window: Size of the window to render. By default it is planned if nothing is traced; a traced call renders the
             complete frame, so plan it beforehand with `plan_refinement`.
@@ -123,6 +123,9 @@ def refine_pose(
             common ground frame. `start`, a single pose or an axis of hypotheses, and the estimate are in that frame.
             The views are refined jointly on the host: nothing may be traced, and nothing is `determined`.
         engine: Runs the compiled functions.
+
+    Returns:
+        The estimate, in the batch shape of `start`.
 
     Raises:
         SonarjaxError: The shapes do not fit the sonar, or `free` is empty or has an unknown or repeated name. For views
@@ -210,7 +213,20 @@ def prepare_refinement(
     mesh: Mesh, sonar: Sonar, start: Pose, config: RefineConfig, engine: Engine, window: WindowSize | None = None,
     free: tuple[str, ...] = ON_FLOOR,
 ) -> None:  # fmt: skip
-    """Let `engine` compile the refinement of one start in frames of this sonar, before there is a frame."""
+    """Let an engine compile the refinement of one start in frames of a sonar, before there is a frame.
+
+    The compiled code serves `refine_yaw`, `refine_starts` and `quick_evidence`. It does not serve `refine_pose`, which
+    also puts back the numbers that a frame does not determine.
+
+    Args:
+        mesh: The object.
+        sonar: The sonar.
+        start: One start [m, rad]. Its numbers matter only where the window is planned for it.
+        config: How refinement will search.
+        engine: Compiles, and later runs the compiled functions.
+        window: Size of the window to render; None plans it for this start.
+        free: The free numbers of the pose, in the order yaw, x, y, z, roll, pitch.
+    """
     image = np.zeros(sonar.shape, np.float32)
     begin = jax.tree.map(np.asarray, start)
     size = window or plan_refinement(mesh, sonar, start, config, free)
@@ -226,12 +242,21 @@ def is_traced(*trees: Any) -> bool:
 def plan_refinement(
     mesh: Mesh, sonar: Sonar, start: Pose, config: RefineConfig, free: Sequence[str] = ON_FLOOR
 ) -> WindowSize:
-    """Plan the size of the window that refinement renders, for starts [m, rad] of any shape. A host function.
+    """Plan the size of the window that refinement renders; a function of the host.
 
-    The window holds the object and its shadow at each start, with `SLACK_M` around, at any yaw, lifted and leaning as
-    in the start and as far as the bounds of `free` z, roll and pitch allow. The object itself touches no more than the
-    planned beams as long as x and y stay within their bounds. If the places, the mesh or the sonar are traced, the
-    window is the complete frame.
+    The window holds the object and its shadow at each start and any yaw, with `SLACK_M` around. It has room for the
+    lift and lean of the starts, and for as much more as the bounds of `free` z, roll and pitch allow. The object itself
+    touches no more than the planned beams as long as x and y stay within their bounds.
+
+    Args:
+        mesh: The object.
+        sonar: The sonar.
+        start: One start or several [m, rad], of any shape.
+        config: Its bounds limit how far refinement moves the object.
+        free: The free numbers of the pose.
+
+    Returns:
+        Size of the window. It is the complete frame if the starts, the mesh or the sonar are traced.
     """
     if is_traced(start, sonar, mesh):
         return WindowSize(sonar.shape, sonar.n_beams)

@@ -22,8 +22,8 @@ from sonarjax.scene import Pose
 BRIEF_ON_MAP, BRIEF_ON_FRAME = 1, 2
 """Most renders at each blur of the brief refinements that every start gets."""
 LEAD = 0.1
-"""A start whose score on the frame is lower than the best by more than this is refined no further, unless its `fit` is
-the best.
+"""A start is refined no further if its score on the frame is lower than the best by more than this [NCC], unless its
+`fit` is the best.
 
 The score on the map says too little: on frames of odd devices the right start can be far behind there."""
 MAP_SHARE = 1 / 3
@@ -72,16 +72,17 @@ def refine_starts(
         starts: The starts. Those with a pose of their own count only where refinement settles or fits better.
         image: The frame (range, beam).
         seen: The frame's semantic map (range, beam).
-        mask: Which pixels were measured; None for all.
+        mask: True where a pixel was measured (range, beam); None means everywhere.
         config: How to refine on the map; `on_frame` derives the refinement on the frame from it.
-        window_of: Gives the size of a window that is large enough for a start.
-        engine: What runs the refinement.
+        window_of: Gives the size of a window that is large enough for a start; None lets refinement plan it.
+        engine: Runs the compiled functions.
 
     Returns:
-        Different poses, best `fit` first. Those that score far less than the best are refined only briefly.
+        The refined starts with different poses, best `fit` first. Those that score far less than the best are refined
+        only briefly.
 
     Raises:
-        SonarjaxError: As `refine_yaw` does.
+        SonarjaxError: As `refine_yaw`.
     """
 
     def refine(start: Start, picture: np.ndarray, pose: Pose, how: RefineConfig) -> tuple[YawEstimate, Drawn]:
@@ -99,7 +100,7 @@ def refine_starts(
     final = on_frame(config)
     found = filter(_counts, engine.map(briefly, starts))
     poses = different(sorted(found, key=lambda one: -one.fit))
-    least = max(one.score for one in poses) - LEAD
+    least = max((one.score for one in poses), default=0.0) - LEAD
     leads = [k == 0 or one.score >= least for k, one in enumerate(poses)]
     settled = engine.map(lambda one: in_frame(one.start, one.pose, final), list(compress(poses, leads)))
     rest = compress(poses, [not lead for lead in leads])
@@ -107,7 +108,7 @@ def refine_starts(
 
 
 def different(found: Sequence[RefinedStart]) -> list[RefinedStart]:
-    """Those whose pose is not that of an earlier one."""
+    """The refined starts, without those whose pose is the same as an earlier one's (see `SAME_POSE`)."""
     kept: list[RefinedStart] = []
     for one in found:
         if not any(_same(one.pose, other.pose) for other in kept):

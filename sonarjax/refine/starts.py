@@ -64,7 +64,14 @@ class Candidate(NamedTuple):
         return np.asarray(bank.yaws) + turned
 
     def between_bins(self, k: int) -> Pose:
-        """The pose at bin `k`, with the yaw moved to the peak of a parabola through the neighbouring scores."""
+        """Move the yaw of a bin to the peak of a parabola through the neighbouring scores.
+
+        Args:
+            k: Number of the bin.
+
+        Returns:
+            The pose [m, rad] at that yaw, where the target matched.
+        """
         scores = self.match.scores
         yaw = float(self.yaws[k]) + between_bins(scores, k) * (2 * math.pi / len(scores))
         return Pose(x=self.x, y=self.y, yaw=yaw)
@@ -94,11 +101,14 @@ def locate(search: TargetSearch, picture: np.ndarray, mask: np.ndarray | None, n
     Args:
         search: The target.
         picture: The map or frame (range, beam).
-        mask: Which pixels were measured; None for all.
-        near: Index of the distance near which to search; None to search all distances.
+        mask: True where a pixel was measured (range, beam); None means everywhere.
+        near: Index of the distance near which to search; None searches all distances.
+
+    Returns:
+        The best match and its place.
 
     Raises:
-        SonarjaxError: As `TargetSearch.find`.
+        SonarjaxError: No part of the target can be seen at any distance (as `TargetSearch.find`).
     """
     picture = np.asarray(picture, np.float32)
     match = search.find(picture, mask) if near is None else search.find_near(near, picture, mask)
@@ -112,10 +122,13 @@ def make_starts(
 
     Args:
         in_map: The match in the map.
-        in_frame: The match in the frame, if there is one.
+        in_frame: The match in the frame; None if there is none.
         seen: The map (range, beam).
         image: The frame (range, beam).
         count: Largest number of starts from the map; each is a peak of its scores over yaw.
+
+    Returns:
+        The starts, those in the map first.
     """
     starts = [Start(in_map, k, seen) for k in peak_bins(in_map.match.scores, in_map.yaws, count)]
     if in_frame is not None:
@@ -124,13 +137,29 @@ def make_starts(
 
 
 def peak_bins(scores: np.ndarray, yaws: np.ndarray, count: int) -> list[int]:
-    """Bins of up to `count` highest peaks of `scores` (yaw,) over `yaws` (yaw,) [rad], best first; at least one."""
+    """Find the yaw bins at the highest peaks of the scores.
+
+    Args:
+        scores: Score of each bin (yaw,).
+        yaws: Yaw of each bin (yaw,) [rad].
+        count: Most peaks to return.
+
+    Returns:
+        Numbers of the bins, best first; at least one.
+    """
     found = peaks(scores, yaws, max_peaks=count)
     return [int(k) for k, valid in zip(np.asarray(found.yaw_bin), np.asarray(found.valid), strict=True) if valid]
 
 
 def on_frame(config: RefineConfig) -> RefineConfig:
-    """Derive the config for refinement on the frame itself from `config`, that of the refinement on the map."""
+    """Derive the config of the refinement on the frame itself from that of the refinement on the map.
+
+    Args:
+        config: The config of the refinement on the map.
+
+    Returns:
+        The config with `FRAME_BLURS`, more iterations (`FRAME_ITERATION_FACTOR`) and the template `either`.
+    """
     blurs, iterations = FRAME_BLURS[-len(config.blurs) :], FRAME_ITERATION_FACTOR * config.iterations
     return replace(config, blurs=blurs, iterations=iterations, template="either")
 
@@ -145,11 +174,17 @@ def evidence_of(drawn: Drawn, image: np.ndarray, seen: np.ndarray, mask: np.ndar
 
 
 def curve_evidence(in_map: Candidate, in_frame: Candidate | None) -> dict[str, float]:
-    """Evidence from the scores over yaw: how far the peak stands out in the map and in the frame, and its height there.
+    """Measure how far the peak of the scores over yaw stands out in map and frame, and its height in the frame.
 
     `map_rise` and `frame_rise` are the highest score minus the fourth highest. `map_drop` and `frame_drop` are the
-    highest score minus the mean of those 10° to either side. `frame_peak` is the highest score in the frame. Without a
-    match in the frame, that in the map is used instead.
+    highest score minus the mean of those 10° to either side. `frame_peak` is the highest score in the frame.
+
+    Args:
+        in_map: The match in the map.
+        in_frame: The match in the frame; None uses the match in the map instead.
+
+    Returns:
+        These five numbers [NCC] by name.
     """
     curves = {"map": in_map.match.scores, "frame": (in_map if in_frame is None else in_frame).match.scores}
     evidence = {"frame_peak": float(curves["frame"].max())}

@@ -14,7 +14,7 @@ from sonarjax.refine.objective import normalised
 from sonarjax.refine.solver import Found
 
 CORRELATED_BEAMS = 5
-"""Number of beams over which residuals are correlated, ever less, in the covariance."""
+"""Residuals fewer beams apart than this count as correlated; their weight falls linearly with their distance."""
 OBSERVABLE = 0.5
 """A number is determined if at most this share of its prior's standard deviation is left [1]."""
 FINEST = 40.0

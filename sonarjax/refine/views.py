@@ -100,7 +100,7 @@ def linearise(
     bounces: Array, sigma: Array, sharpness: Array, margin: Array, fixed: tuple[Any, ...], fresh: Array, *,
     size: WindowSize, quality: RenderQuality,
 ) -> tuple[tuple[Array, ...], tuple[Any, ...]]:  # fmt: skip
-    """The fields of a `View` at `pose` in the view's frame, and of its `Fixed`, which is made anew if `fresh`.
+    """The fields of a `View` at `pose` in the view's frame, and those of its `Fixed`, chosen anew if `fresh`.
 
     The window lies around `place`, and has room for the lift [m], roll and pitch [rad] in `room`.
     """
@@ -306,14 +306,30 @@ def turned(heading: float) -> Float[np.ndarray, "number number"]:
 
 
 def in_view(pose: Pose, sonar: np.ndarray) -> Pose:
-    """A pose of the common frame, expressed in the ground frame of a `sonar` at x, y [m] with a heading [rad]."""
+    """Transform a pose from the common frame to the ground frame of a sonar.
+
+    Args:
+        pose: Poses in the common frame [m, rad], of any shape.
+        sonar: x, y [m] and heading [rad] of the sonar in the common frame (3,).
+
+    Returns:
+        The poses in the sonar's ground frame [m, rad]; z, roll and pitch stay the same.
+    """
     x, y = np.asarray(pose.x) - sonar[0], np.asarray(pose.y) - sonar[1]
     c, s = np.cos(sonar[2]), np.sin(sonar[2])
     return replace(pose, **_fields(x=c * x + s * y, y=c * y - s * x, yaw=np.asarray(pose.yaw) - sonar[2]))
 
 
 def in_common(pose: Pose, sonar: np.ndarray) -> Pose:
-    """A pose of the ground frame of a `sonar` at x, y [m] with a heading [rad], expressed in the common frame."""
+    """Transform a pose from the ground frame of a sonar to the common frame.
+
+    Args:
+        pose: Poses in the sonar's ground frame [m, rad], of any shape.
+        sonar: x, y [m] and heading [rad] of the sonar in the common frame (3,).
+
+    Returns:
+        The poses in the common frame [m, rad]; z, roll and pitch stay the same.
+    """
     x, y = np.asarray(pose.x), np.asarray(pose.y)
     c, s = np.cos(sonar[2]), np.sin(sonar[2])
     return replace(

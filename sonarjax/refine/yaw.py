@@ -64,17 +64,20 @@ def refine_yaw(
     """Refine yaw, x and y of an object on the floor by Levenberg–Marquardt on 1 − NCC of the rendered template.
 
     This is `refine_pose` with these three numbers free, with one simplification: a yaw that the frame does not
-    determine is not put back to its start. Yaw, x and y have derivatives as the pose of `refine_pose` has.
+    determine is not put back to its start. Yaw, x and y have derivatives, as the pose of `refine_pose` has.
 
     Args:
         image: The frame (range, beam), with batch axes as in `refine_pose`.
         mesh: The object.
         sonar: The sonar.
         start: Where to start [m, rad], as in `refine_pose`.
-        mask: True where a pixel was measured; the image's shape.
+        mask: True where a pixel was measured, in the image's shape; None means everywhere.
         config: How to search.
         window: Size of the window to render, as in `refine_pose`.
         engine: Runs the compiled functions.
+
+    Returns:
+        The estimate, in the batch shape of `start`.
 
     Raises:
         SonarjaxError: The shapes do not fit the sonar.

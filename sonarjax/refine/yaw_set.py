@@ -71,7 +71,15 @@ YAW_WEIGHTS = YawWeights(softness=0.02, slope=0.3, unrefined=0.02, tail=0.0, tai
 
 
 def shares(scores: np.ndarray, softness: float) -> np.ndarray:
-    """Probabilities (hypothesis,) of hypotheses with `scores` (hypothesis,), exactly one of which is right."""
+    """Turn the scores of hypotheses, exactly one of which is right, into probabilities.
+
+    Args:
+        scores: Score of each hypothesis (hypothesis,) [NCC].
+        softness: Difference in score that makes a hypothesis e times less likely [NCC].
+
+    Returns:
+        Probability of each hypothesis (hypothesis,) [1].
+    """
     parts = np.exp((scores - scores.max()) / softness)
     return parts / parts.sum()
 
@@ -88,7 +96,14 @@ class YawSet:
     """Factor on the standard deviations of those errors [1]."""
 
     def density(self, yaw: np.ndarray) -> np.ndarray:
-        """Probability density [1/rad] at yaws (*batch) [rad]."""
+        """Compute the probability density at some yaws.
+
+        Args:
+            yaw: Yaws (*batch) [rad].
+
+        Returns:
+            Probability density (*batch) [1/rad].
+        """
         yaw = np.asarray(yaw, float)[..., None]
         total = np.zeros(yaw.shape[:-1])
         for mode in self.modes:
@@ -100,10 +115,16 @@ class YawSet:
         return total
 
     def intervals(self, coverage: float = 0.95) -> tuple[YawInterval, ...]:
-        """The smallest set of yaws that has the probability `coverage`, as disjoint intervals, the most likely first.
+        """Find the smallest set of yaws that has a given probability.
 
         It is the set of highest density (Hyndman, Computing and Graphing Highest Density Regions, The American
         Statistician 50, 1996), accurate to a few hundredths of a standard deviation.
+
+        Args:
+            coverage: Probability of the set [1], between 0 and 1.
+
+        Returns:
+            The set as disjoint intervals, the most likely first.
 
         Raises:
             SonarjaxError: The coverage is not between 0 and 1.
@@ -121,7 +142,18 @@ class YawSet:
         return _joined(edges, inside, mass / mass.sum())
 
     def holds(self, yaw: float, coverage: float = 0.95) -> bool:
-        """True if a yaw [rad] is in the set of `coverage`. Raises SonarjaxError as `intervals` does."""
+        """Check whether a yaw is in the smallest set that has a given probability.
+
+        Args:
+            yaw: The yaw [rad].
+            coverage: Probability of the set [1], between 0 and 1.
+
+        Returns:
+            True if one of the `intervals` holds the yaw.
+
+        Raises:
+            SonarjaxError: The coverage is not between 0 and 1.
+        """
         return any((yaw - one.low) % CIRCLE <= one.high - one.low for one in self.intervals(coverage))
 
     def _edges(self) -> np.ndarray:
@@ -151,7 +183,7 @@ def make_yaw_set(
     yaws: Sequence[float], stds: Sequence[float], scores: Sequence[float], curve: np.ndarray, curve_yaws: np.ndarray,
     weights: YawWeights,
 ) -> YawSet:  # fmt: skip
-    """The set of yaws from refined hypotheses and from the other peaks of the bank's scores.
+    """Make the set of yaws from refined hypotheses and from the other peaks of the bank's scores.
 
     Args:
         yaws: Yaws of the refined hypotheses (hypothesis,) [rad], best first.
@@ -160,6 +192,9 @@ def make_yaw_set(
         curve: The bank's scores (yaw,).
         curve_yaws: Yaws of the bank (yaw,) [rad], ascending around the circle.
         weights: How hypotheses are weighted.
+
+    Returns:
+        The set, with modes that do not overlap.
     """
     best, bin_std = max(scores), CIRCLE / len(curve) / math.sqrt(12)
     rows = [(float(y), min(float(s), UNIFORM_STD), float(v)) for y, s, v in zip(yaws, stds, scores, strict=True)]
@@ -181,7 +216,14 @@ def _other_peaks(curve: np.ndarray, yaws: np.ndarray, known: Sequence[float]) ->
 
 
 def merged(modes: Sequence[YawMode]) -> tuple[YawMode, ...]:
-    """Modes without overlap, the most likely first: those closer than their error bars or `SAME_YAW` are merged."""
+    """Merge modes that are closer than their error bars or `SAME_YAW`.
+
+    Args:
+        modes: Modes that may overlap.
+
+    Returns:
+        Modes without overlap, the most likely first.
+    """
     left, found = sorted(modes, key=lambda mode: -mode.weight), list[YawMode]()
     while left:
         best = left[0]

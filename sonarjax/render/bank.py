@@ -81,9 +81,10 @@ def template_bank(
     size: WindowSize | None = None,
     engine: Engine = PLAIN,
 ) -> TemplateBank:
-    """Render the object at one place for each yaw, cropped to one box. A host function.
+    """Render the object at one place for each yaw, cropped to one box.
 
-    Views are rendered one after another in a window around the object, so memory grows only with the templates.
+    Views are rendered a few at a time in a window around the object, so memory grows only with the templates. This runs
+    on the host and cannot be traced.
 
     Args:
         mesh: The object.
@@ -96,8 +97,8 @@ def template_bank(
         pitch: Pitch [rad], one number or one for each yaw (yaw,).
         quality: How finely to render.
         margin: Range bins and beams around what the object touches at any yaw.
-        size: Size of the window to render. Banks at several places share compiled code if they share it. By default it
-            is planned for this place.
+        size: Size of the window to render. Banks at several places share compiled code if they share it. None plans it
+            for this place.
         engine: Runs the compiled functions.
 
     Returns:
@@ -208,8 +209,14 @@ def _touched_box(images: np.ndarray) -> tuple[tuple[int, int], tuple[int, int]] 
 
 
 def bank_place(bank: TemplateBank, sonar: Sonar) -> tuple[float, float]:
-    """Slant range [m] of the floor at the object's origin, and its image azimuth [rad]: the two that matching
-    varies.
+    """Return where a bank's object is in the image: the two numbers that matching varies.
+
+    Args:
+        bank: The bank.
+        sonar: The sonar for which it was rendered.
+
+    Returns:
+        Slant range [m] of the floor at the object's origin, and its image azimuth [rad].
     """
     return float(np.hypot(bank.ground_range, float(sonar.height))), float(_image_azimuth(bank.x, bank.y, sonar))
 

@@ -162,7 +162,17 @@ def _floor_span(a: Array, b: Array, scene: Scene) -> tuple[Array, Array]:
 
 
 def floor_angle(distance: Float[Array, "*batch"], sonar: Sonar) -> Float[Array, "*batch"]:
-    """Elevation [rad] that one range bin of bare floor fills at slant range `distance` [m]. Finite for any distance."""
+    """Return the elevation that one range bin of bare floor fills.
+
+    It is finite for any distance.
+
+    Args:
+        distance: Slant range (*batch) [m].
+        sonar: Gives the height and the length of a range bin.
+
+    Returns:
+        Elevation (*batch) [rad].
+    """
     height = jnp.asarray(sonar.height, jnp.float32)
     aside = jnp.sqrt(jnp.maximum(distance**2 - height**2, (0.1 * height) ** 2))
     return sonar.range_bin * height / (jnp.maximum(distance, height) * aside)

@@ -10,9 +10,14 @@ from sonarjax.sonar import Sonar
 
 
 def check_fits(mesh: Mesh, sonar: Sonar, name: str) -> None:
-    """Check that the mesh is not longer than the sonar's range; `name` opens the error message.
+    """Check that a mesh is not longer than the sonar's range.
 
     A part of 90 mm whose file is read as metres looks like an object of 90 m; only the sonar's range shows the mistake.
+
+    Args:
+        mesh: The object.
+        sonar: The sonar.
+        name: Name of the mesh; the error message begins with it.
 
     Raises:
         SonarjaxError: The mesh is too long.

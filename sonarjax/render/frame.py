@@ -65,11 +65,19 @@ class SonarFrame:
     """The sonar that looked."""
 
     def semantic(self) -> Float[Array, "*batch range beam"]:
-        """Semantic map (range, beam) of each frame: shadow 0, background 0.5, highlight 1, mixed by their shares."""
+        """Return the semantic map: shadow 0, background 0.5, highlight 1, mixed by their shares.
+
+        Returns:
+            Semantic map of each frame (range, beam), after the batch axes.
+        """
         return semantic_image(self.highlight, self.shadow)
 
     def labels(self) -> UInt8[Array, "*batch range beam"]:
-        """Class (range, beam) with the largest share in each pixel: 0 background, 1 highlight, 2 shadow."""
+        """Return the class with the largest share in each pixel.
+
+        Returns:
+            Classes (range, beam), after the batch axes: 0 background, 1 highlight, 2 shadow.
+        """
         shares = jnp.stack(
             [(1 - self.highlight) * (1 - self.shadow), self.highlight, self.shadow * (1 - self.highlight)]
         )
@@ -79,5 +87,13 @@ class SonarFrame:
 def semantic_image(
     highlight: Float[Array, "*batch range beam"], shadow: Float[Array, "*batch range beam"]
 ) -> Float[Array, "*batch range beam"]:
-    """Semantic map (range, beam) in [0, 1] from the shares h of highlight and s of shadow: 0.5·(1 + h − s·(1 − h))."""
+    """Return the semantic map of given shares of highlight and shadow.
+
+    Args:
+        highlight: Share h of highlight in each pixel (range, beam), 0 to 1.
+        shadow: Share s of shadow in each pixel (range, beam), 0 to 1.
+
+    Returns:
+        Semantic map (range, beam), 0 to 1: 0.5·(1 + h − s·(1 − h)).
+    """
     return jnp.clip(0.5 * (1 + highlight - shadow * (1 - highlight)), 0.0, 1.0)

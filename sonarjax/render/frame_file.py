@@ -12,9 +12,14 @@ from sonarjax.sonar import Sonar
 
 
 def write_frame(path: str | os.PathLike[str], frame: SonarFrame, sonar: Sonar) -> None:
-    """Write a frame (range, beam) and the axes of its sonar to an NPZ file.
+    """Write a frame and the axes of its sonar to an NPZ file.
 
     The array `image` is the semantic map, so the file can be given to `recognize`.
+
+    Args:
+        path: File to write.
+        frame: One frame (range, beam).
+        sonar: The sonar whose axes are written.
 
     Raises:
         SonarjaxError: The file cannot be written.

@@ -29,7 +29,14 @@ class WindowSize:
     """Most beams that the object itself can touch; None for all."""
 
     def holds(self, other: WindowSize) -> bool:
-        """True if a window of this size is large enough wherever `other` is."""
+        """Tell whether a window of this size is large enough wherever one of another size is.
+
+        Args:
+            other: The other size.
+
+        Returns:
+            True if it is.
+        """
         beams = self.object_columns is None or (other.object_columns or math.inf) <= self.object_columns
         return beams and all(mine >= needed for mine, needed in zip(self.shape, other.shape, strict=True))
 
@@ -37,7 +44,9 @@ class WindowSize:
 def plan_window(
     mesh: Mesh, sonar: Sonar, ground_range: float, slack: float = 0.0, row_step: int = ROW_STEP
 ) -> WindowSize:
-    """Plan the size of a window that holds an object and its shadow. A host function.
+    """Plan the size of a window that holds an object and its shadow.
+
+    This runs on the host and cannot be traced.
 
     Args:
         mesh: The object; holds concrete numbers.
@@ -45,6 +54,9 @@ def plan_window(
         ground_range: Horizontal distance of the object [m].
         slack: How far the object may be from there [m].
         row_step: The window's rows are a multiple of this.
+
+    Returns:
+        The size, never more than the frame's.
     """
     shape = window_shape(mesh, sonar, ground_range, slack, row_step)
     return WindowSize(shape, object_columns(mesh, sonar, ground_range, slack))
@@ -102,9 +114,17 @@ def _slant_extent(mesh: Mesh, sonar: Sonar, ground_range: float, slack: float) -
 
 
 def place_window(size: WindowSize, mesh: Mesh, sonar: Sonar, x: Any, y: Any, slack: float = 0.0) -> Window:
-    """Place a window of planned `size` around an object at (x, y) [m], shifted to lie inside the frame.
+    """Place a window of planned size around an object, shifted to lie inside the frame.
 
-    `x` and `y` may be traced. `slack` [m] is how far the object may be from there, as in `plan_window`.
+    Args:
+        size: Size of the window, from `plan_window`.
+        mesh: The object.
+        sonar: The sonar.
+        x, y: Ground position of the object [m], forward and to port; may be traced.
+        slack: How far the object may be from there [m], as in `plan_window`.
+
+    Returns:
+        The window.
     """
     shape = size.shape
     x, y, height = (jnp.asarray(v, jnp.float32) for v in (x, y, sonar.height))
@@ -136,14 +156,31 @@ def leaning_room(mesh: Mesh, lift: Any, roll: Any, pitch: Any) -> Mesh:
 
 
 def image_azimuth(x: Any, y: Any, sonar: Sonar) -> Any:
-    """Azimuth [rad] in the sonar frame (tilted, without roll) of a floor point (x, y) [m]."""
+    """Return the azimuth of a floor point in the sonar frame, tilted but without roll.
+
+    Args:
+        x, y: Ground position of the point [m], forward and to port.
+        sonar: The sonar.
+
+    Returns:
+        Azimuth [rad].
+    """
     forward = jnp.cos(jnp.asarray(sonar.tilt)) * x + jnp.sin(jnp.asarray(sonar.tilt)) * sonar.height
     return jnp.arctan2(jnp.asarray(y, jnp.float32), forward)
 
 
 def floor_point(slant_range: Any, azimuth: Any, sonar: Sonar) -> tuple[Any, Any]:
-    """Ground position (x, y) [m] of the floor that is seen at `slant_range` [m] and image `azimuth` [rad]; roll is
-    ignored.
+    """Return the floor point that is seen at a slant range and an image azimuth.
+
+    Roll is ignored.
+
+    Args:
+        slant_range: Slant range of the point [m].
+        azimuth: Image azimuth of the point [rad], as from `image_azimuth`.
+        sonar: The sonar.
+
+    Returns:
+        Ground position x, y [m], forward and to port.
     """
     ground = jnp.sqrt(jnp.maximum(jnp.asarray(slant_range) ** 2 - jnp.asarray(sonar.height) ** 2, 1e-6))
     tan = jnp.tan(jnp.asarray(azimuth))

@@ -51,12 +51,18 @@ def render(
         SonarjaxError: The numbers of meshes and poses differ, or a pose (unless traced) is not finite or absurdly far
             away.
     """
+    mesh, pose = one_scene(mesh, pose)
+    return with_enough_room(lambda roomy: _render(roomy, pose, sonar, quality), mesh)
+
+
+def one_scene(mesh: Mesh | Sequence[Mesh], pose: Pose | Sequence[Pose]) -> tuple[Mesh, Pose]:
+    """Check the poses of a scene, and join its objects if there are several (`place_together`)."""
     for one in [pose] if isinstance(pose, Pose) else pose:
         check_pose(one)
     if not isinstance(mesh, Mesh):
-        mesh, pose = place_together(mesh, pose)
+        return place_together(mesh, pose)
     assert isinstance(pose, Pose)
-    return with_enough_room(lambda roomy: _render(roomy, pose, sonar, quality), mesh)
+    return mesh, pose
 
 
 def with_enough_room(rendered: Callable[[Mesh], Any], mesh: Mesh) -> Any:
@@ -107,7 +113,7 @@ def place_together(meshes: Sequence[Mesh], poses: Pose | Sequence[Pose]) -> tupl
     """
     poses = [poses] if isinstance(poses, Pose) else list(poses)
     if len(meshes) != len(poses) or not meshes:
-        raise SonarjaxError(f"render: expected as many poses as meshes, got {len(poses)} and {len(meshes)}")
+        raise SonarjaxError(f"pose: expected as many poses as meshes, got {len(poses)} and {len(meshes)}")
     starts = [sum(len(m.vertices) for m in meshes[:k]) for k in range(len(meshes))]
     joined = replace(
         meshes[0],

@@ -119,7 +119,8 @@ def find_visible(
 def render_window(mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, quality: RenderQuality) -> SonarFrame:
     """Render one window of the image: slabs → candidates → visible intervals → spans → rasterise.
 
-    Under `jax.jit`, layers of the frame that are not used cost nothing.
+    Under `jax.jit`, layers of the frame that are not used cost nothing. Unlike `render`, this does not render again if
+    the mesh has too little room; see `overflow` of the frame.
 
     Args:
         mesh: One mesh, not stacked.
@@ -127,6 +128,9 @@ def render_window(mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, quality:
         sonar: The sonar that looks.
         window: The part of the image to render.
         quality: How finely to render.
+
+    Returns:
+        Frame of the window (range, beam).
     """
     seen = _look(mesh, None, pose, sonar, window, quality)
     return _frame_of(seen, _shares(seen), _echo(seen, mesh, quality), window)
@@ -276,7 +280,7 @@ def render_echo(
         shares: If false, only the echo is rendered; highlight and shadow are zero.
 
     Returns:
-        Layers (range, beam) of the window.
+        Layers of the window, each (range, beam): `echo` [rad], `highlight` and `shadow` [1].
     """
     seen = _look(mesh, None, pose, sonar, window, quality, jnp.asarray(by_facet))
     spans, shown, rows = seen.visible.spans, seen.echo_spans, window.shape[0]

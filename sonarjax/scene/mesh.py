@@ -68,11 +68,14 @@ class Mesh:
 
         Args:
             path: The mesh file.
-            unit_m: Length of the file's unit [m]. By default the unit that the file names, or else metres.
+            unit_m: Length of the file's unit [m]. None for the unit that the file names, or else metres.
+
+        Returns:
+            The mesh.
 
         Raises:
-            SonarjaxError: The file is missing, empty, too large, corrupt or not a surface, or its coordinates cannot be
-                metres (`sonarjax.scene.limits`).
+            SonarjaxError: The file is missing, empty, too large, corrupt or not a surface; `unit_m` is not a positive
+                number; or the coordinates cannot be metres (`sonarjax.scene.limits`).
         """
         path = Path(path)
         if path.is_dir():
@@ -93,14 +96,20 @@ class Mesh:
     def from_arrays(cls, vertices: Any, faces: Any, name: str = "mesh") -> Mesh:
         """Make a mesh from arrays.
 
+        Equal vertices are merged. Unused vertices and triangles of zero area are dropped.
+
         Args:
             vertices: Vertices (vertex, 3) [m].
-            faces: Vertex numbers (face, 3) of the triangles.
+            faces: Vertex numbers of the triangles (face, 3).
             name: Name of the mesh in error messages.
 
+        Returns:
+            The mesh, padded. It is closed if its triangles enclose a volume; they then all face outwards.
+
         Raises:
-            SonarjaxError: There is no triangle or more than `MAX_FACES`, a value is not finite, an index is out of
-                range, or the extent shows that the coordinates are not metres.
+            SonarjaxError: A shape is wrong, there is no triangle or more than `MAX_FACES`, every triangle has zero
+                area, a value is not finite, an index is out of range, or the extent shows that the coordinates are not
+                metres.
         """
         vertices, faces = np.asarray(vertices), np.asarray(faces)
         check_face_count(len(np.atleast_1d(faces)), name)  # before anything is copied
@@ -119,11 +128,17 @@ class Mesh:
         return _padded(surface, closed)
 
     def with_vertices(self, vertices: Float[Array, "vertex 3"]) -> Mesh:
-        """The same triangles with other vertex positions (vertex, 3) [m], to deform a shape or differentiate by it.
+        """Return the same triangles with other vertex positions, to deform a shape or differentiate by it.
 
         The gradient by the shape is `jax.grad(lambda v: loss(mesh.with_vertices(v)))(mesh.vertices)`. For concrete
         vertices, what slices can meet is measured again. For traced ones it is kept, and `SonarFrame.overflow` says
         whether it still suffices.
+
+        Args:
+            vertices: New positions of all vertices, padding included (vertex, 3) [m].
+
+        Returns:
+            The changed mesh.
 
         Raises:
             SonarjaxError: The shape differs, or concrete values are not finite.
@@ -139,8 +154,16 @@ class Mesh:
         return replace(self, vertices=jnp.asarray(positions), **_measured(positions, real, bool(self.closed)))
 
     def with_room(self, crossings: int, front: int) -> Mesh:
-        """The same mesh with room for at least so many triangles in a slice, and facing the sonar; never less than it
-        has.
+        """Return the same mesh with room for more triangles in a slice and more that face the sonar.
+
+        The room never shrinks, and never grows beyond the number of triangles, padding included.
+
+        Args:
+            crossings: Least number of triangles that one vertical slice must have room for.
+            front: Least number of triangles facing the sonar at once that there must be room for.
+
+        Returns:
+            The mesh with more room.
         """
         most = self.n_faces
         return replace(
@@ -156,7 +179,13 @@ class Mesh:
 
 
 def stack_meshes(meshes: Sequence[Mesh]) -> Mesh:
-    """Stack several meshes into one batch (mesh, ...) for `jax.vmap`, padded to common sizes and capacities.
+    """Stack several meshes into one batch for `jax.vmap`, padded to common sizes and capacities.
+
+    Args:
+        meshes: Single meshes, at least one.
+
+    Returns:
+        A mesh whose arrays are (mesh, ...).
 
     Raises:
         SonarjaxError: The sequence is empty.

@@ -17,12 +17,15 @@ Arrays = tuple[np.ndarray, np.ndarray]
 
 
 def box(size: tuple[float, float, float], center: tuple[float, float, float], yaw: float = 0.0) -> Arrays:
-    """A box as vertices (8, 3) [m] and triangles (12, 3) that face outwards.
+    """Return a box whose triangles face outwards.
 
     Args:
         size: Length, width and height [m].
         center: Centre [m].
         yaw: Rotation about the vertical [rad].
+
+    Returns:
+        Vertices (8, 3) [m] and triangles (12, 3).
 
     >>> vertices, faces = box((0.4, 0.2, 0.1), (0.0, 0.0, 0.05))
     >>> vertices.min(axis=0).tolist(), len(faces)
@@ -36,7 +39,16 @@ def box(size: tuple[float, float, float], center: tuple[float, float, float], ya
 
 
 def cylinder_arrays(radius: float, height: float, sides: int = 48) -> Arrays:
-    """An upright cylinder on z = 0 as vertices (2 sides + 2, 3) and triangles; `radius` and `height` in [m]."""
+    """Return an upright cylinder on z = 0.
+
+    Args:
+        radius: Radius [m].
+        height: Height [m].
+        sides: Number of flat faces around it.
+
+    Returns:
+        Vertices (2 sides + 2, 3) [m] and triangles (4 sides, 3).
+    """
     angle = 2 * math.pi * np.arange(sides) / sides
     ring = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros(sides)], axis=1)
     vertices = np.concatenate([ring, ring + [0, 0, height], [[0, 0, 0], [0, 0, height]]])
@@ -47,7 +59,16 @@ def cylinder_arrays(radius: float, height: float, sides: int = 48) -> Arrays:
 
 
 def sphere_arrays(radius: float, rings: int = 24, sectors: int = 48) -> Arrays:
-    """A ball that touches z = 0, as vertices (vertex, 3) and triangles; `radius` [m]."""
+    """Return a ball that touches z = 0.
+
+    Args:
+        radius: Radius [m].
+        rings: Number of bands from pole to pole.
+        sectors: Number of parts around the vertical axis.
+
+    Returns:
+        Vertices (vertex, 3) [m] and triangles (face, 3).
+    """
     polar = math.pi * np.arange(1, rings) / rings
     angle = 2 * math.pi * np.arange(sectors) / sectors
     grid = np.stack(
@@ -68,7 +89,14 @@ def sphere_arrays(radius: float, rings: int = 24, sectors: int = 48) -> Arrays:
 
 
 def join(*parts: Arrays) -> Arrays:
-    """Join several surfaces into one: vertices (vertex, 3) [m] and triangles (face, 3)."""
+    """Join several surfaces into one.
+
+    Args:
+        *parts: Vertices (vertex, 3) [m] and triangles (face, 3) of each surface.
+
+    Returns:
+        Vertices (vertex, 3) [m] and triangles (face, 3) of all of them.
+    """
     offsets = np.cumsum([0] + [len(vertices) for vertices, _ in parts[:-1]])
     return (
         np.concatenate([vertices for vertices, _ in parts]),
@@ -77,14 +105,24 @@ def join(*parts: Arrays) -> Arrays:
 
 
 def brick(length: float = BRICK_M[0], width: float = BRICK_M[1], height: float = BRICK_M[2]) -> Mesh:
-    """A brick that lies on the floor with its long side along x; lengths [m]."""
+    """Return a brick that lies on the floor with its long side along x.
+
+    Args:
+        length, width, height: Sides along x, y and z [m]; those of a common clay brick by default.
+
+    Returns:
+        The mesh, with the centre of its underside at the origin.
+    """
     return Mesh.from_arrays(*box((length, width, height), (0.0, 0.0, height / 2)), name="brick")
 
 
 def target() -> Mesh:
-    """The target of Fig. 6: two bricks in an L and a third across the corner. It has no symmetry in yaw.
+    """Return the target of Fig. 6: two bricks in an L and a third across the corner. It has no symmetry in yaw.
 
     The bottom bricks stand 1 mm apart, so that no two faces coincide.
+
+    Returns:
+        The mesh, standing on z = 0.
     """
     height = BRICK_M[2]
     return Mesh.from_arrays(
@@ -98,7 +136,11 @@ def target() -> Mesh:
 
 
 def non_target() -> Mesh:
-    """The non-target of Fig. 6: the same three bricks, two side by side and one standing on its long narrow side."""
+    """Return the non-target of Fig. 6: the same bricks, two side by side and one standing on its long narrow side.
+
+    Returns:
+        The mesh, standing on z = 0.
+    """
     length, width, height = BRICK_M
     return Mesh.from_arrays(
         *join(
@@ -111,19 +153,43 @@ def non_target() -> Mesh:
 
 
 def concrete_cylinder(radius: float = 0.075, height: float = 0.15, sides: int = 48) -> Mesh:
-    """The concrete cylinder of Fig. 4, upright; lengths [m]."""
+    """Return the concrete cylinder of Fig. 4, upright.
+
+    Args:
+        radius: Radius [m].
+        height: Height [m].
+        sides: Number of flat faces around it.
+
+    Returns:
+        The mesh, standing on z = 0.
+    """
     return Mesh.from_arrays(*cylinder_arrays(radius, height, sides), name="concrete cylinder")
 
 
 def ball(radius: float = 0.11, rings: int = 24, sectors: int = 48) -> Mesh:
-    """The plastic ball of Fig. 4, touching the floor; `radius` [m]."""
+    """Return the plastic ball of Fig. 4, touching the floor.
+
+    Args:
+        radius: Radius [m].
+        rings: Number of bands from pole to pole.
+        sectors: Number of parts around the vertical axis.
+
+    Returns:
+        The mesh, standing on z = 0.
+    """
     return Mesh.from_arrays(*sphere_arrays(radius, rings, sectors), name="ball")
 
 
 def tank(size: tuple[float, float, float] = TANK_M) -> Mesh:
-    """The four walls of the tank of Table 1 around the origin; `size` = length, width, height [m].
+    """Return the four walls of the tank of Table 1 around the origin.
 
     The surface is open: both sides of a wall reflect.
+
+    Args:
+        size: Length, width and height [m].
+
+    Returns:
+        The mesh, standing on z = 0.
     """
     vertices, faces = box(size, (0.0, 0.0, size[2] / 2))
     return Mesh.from_arrays(vertices, faces[4:], name="tank")

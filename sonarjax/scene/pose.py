@@ -62,12 +62,23 @@ class Pose:
 
     @full_precision
     def to_ground(self, vertices: Float[Array, "vertex 3"]) -> Float[Array, "vertex 3"]:
-        """Move vertices (vertex, 3) [m] from the mesh frame to the ground frame; for a single pose."""
+        """Move vertices from the mesh frame to the ground frame; for a single pose.
+
+        Args:
+            vertices: Vertices in the mesh frame (vertex, 3) [m].
+
+        Returns:
+            Vertices in the ground frame (vertex, 3) [m].
+        """
         return vertices @ self.rotation().T + jnp.stack([self.x, self.y, self.z])
 
     @full_precision
     def rotation(self) -> Float[Array, "3 3"]:
-        """Rotation matrix (3, 3) from the mesh frame to the ground frame; for a single pose."""
+        """Return the rotation from the mesh frame to the ground frame; for a single pose.
+
+        Returns:
+            Rotation matrix (3, 3).
+        """
         return rotation_z(self.yaw) @ rotation_y(self.pitch) @ rotation_x(self.roll)
 
 

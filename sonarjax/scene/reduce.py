@@ -38,7 +38,10 @@ USUAL, FARTHEST = 0.99, 4.0
 
 @dataclass(frozen=True)
 class SurfaceDistance:
-    """Distance between two surfaces [m]: from points spread over each to the other; the larger of both directions."""
+    """Distance between two surfaces [m], from points spread over each one to the other.
+
+    Each number is the larger one of both directions.
+    """
 
     rms: float
     """Root mean square [m]."""
@@ -81,7 +84,10 @@ def reduce_mesh(mesh: Mesh, tolerance: float) -> Reduction:
 
     Args:
         mesh: A single mesh without reflectivities.
-        tolerance: Largest distance [m] for 99 % of the surface; the rest must be within four times this distance.
+        tolerance: Largest distance for 99 % of the surface [m]; the rest must be within four times this distance.
+
+    Returns:
+        The reduced mesh with its distance from the original, or the original if hardly any triangle can be removed.
 
     Raises:
         SonarjaxError: `tolerance` is not a positive number, `mesh` is a batch, or its triangles have reflectivities
@@ -114,7 +120,14 @@ def reduce_mesh(mesh: Mesh, tolerance: float) -> Reduction:
 
 
 def surface_distance(first: Mesh, second: Mesh) -> SurfaceDistance:
-    """Measure the distance between two surfaces. The sample points are the same in every call."""
+    """Measure the distance between two surfaces. The sample points are the same in every call.
+
+    Args:
+        first, second: The two surfaces, single meshes in one frame.
+
+    Returns:
+        The distance [m], in three numbers.
+    """
     return _Surface(*real_arrays(first)).distance(_Surface(*real_arrays(second)))
 
 

@@ -21,8 +21,7 @@ BINS = 1 << 15
 def most_crossings(
     vertices: Float[np.ndarray, "vertex 3"], faces: Int[np.ndarray, "face 3"], closed: bool, views: int = 48
 ) -> int:
-    """Most triangles that a vertical plane through `vertices` (vertex, 3) [m] crosses, over sampled directions, plus 15
-    %.
+    """Most triangles that a vertical plane crosses, plus 15 %, over sampled directions; `vertices` (vertex, 3) in [m].
 
     For a `closed` surface only triangles that face the sonar count. Each direction is also tried with two tilts,
     because pitch and roll bring other triangles into the slice. The 15 % allow for the directions in between.
@@ -63,9 +62,7 @@ def _deepest_overlap(starts: np.ndarray, ends: np.ndarray) -> int:
 
 
 def _deepest_overlap_by_bins(starts: np.ndarray, ends: np.ndarray) -> int:
-    """As `_deepest_overlap`, a few per cent too many at most and never too few, without a sort: count the intervals in
-    bins.
-    """
+    """As `_deepest_overlap`, counted in bins without a sort: never too few, and at most a few per cent too many."""
     if len(starts) == 0:
         return 0
     low, high = starts.min(), ends.max()

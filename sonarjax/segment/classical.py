@@ -45,10 +45,16 @@ def threshold_labels(
 
 
 def to_grey(labels: Any) -> Float[np.ndarray, "*batch range beam"]:
-    """Turn labels (range, beam), or a stack of them, into grey images: shadow 0, background 0.5, highlight 1.
+    """Turn labels into grey images: shadow 0, background 0.5, highlight 1.
 
     >>> to_grey([[0, 1, 2]]).tolist()
     [[0.5, 1.0, 0.0]]
+
+    Args:
+        labels: Labels (range, beam), or a stack of them: 0 background, 1 highlight, 2 shadow.
+
+    Returns:
+        Grey images (range, beam) of the same shape.
     """
     return GREY[np.asarray(labels)]
 

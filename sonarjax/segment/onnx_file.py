@@ -33,6 +33,10 @@ def export_onnx(path: str | os.PathLike[str], segmenter: Segmenter) -> None:
     128, 128) of background, highlight and shadow. The file's metadata repeat this, and hold `tile`, `threshold` and
     `labels`.
 
+    Args:
+        path: The file.
+        segmenter: A segmenter with a network.
+
     Raises:
         SonarjaxError: The segmenter has no network, the package `onnx` is missing, or the file cannot be written.
     """

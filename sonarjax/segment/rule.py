@@ -33,12 +33,23 @@ class IdentificationRule:
     """Share of other objects among the validation frames that were identified at that threshold [1]."""
 
     def probability(self, evidence: Mapping[str, float]) -> float:
-        """Probability [1] that the target is shown, if targets and other objects are equally frequent."""
+        """Compute the probability that the target is shown.
+
+        Args:
+            evidence: Value of each item of `EVIDENCE`, by name; other names are ignored.
+
+        Returns:
+            Probability from 0 to 1, if targets and other objects are equally frequent; 0 if an item is not finite.
+        """
         odds = self.offset + sum(w * evidence[name] for w, name in zip(self.weights, EVIDENCE, strict=True))
         return 1 / (1 + math.exp(-min(max(odds, -50.0), 50.0))) if math.isfinite(odds) else 0.0
 
     def as_json(self) -> dict[str, Any]:
-        """The rule in JSON types, as stored under `rule` in the metadata of a weights file."""
+        """Convert the rule to JSON types.
+
+        Returns:
+            The rule as stored under `rule` in the metadata of a weights file.
+        """
         return {
             "weights": dict(zip(EVIDENCE, self.weights, strict=True)),
             "offset": self.offset,

@@ -43,14 +43,18 @@ class Segmenter:
         self, image: Float[np.ndarray, "range beam"], mask: Bool[np.ndarray, "range beam"] | None = None,
         engine: Engine = PLAIN,
     ) -> Float[np.ndarray, "range beam"]:  # fmt: skip
-        """Semantic map (range, beam) of a frame: shadow 0, background 0.5, highlight 1. A network's doubts lie between.
+        """Compute the semantic map of a frame.
 
         The map of `none` is the grey frame itself, everywhere.
 
         Args:
             image: Grey frame (range, beam) in [0, 1].
-            mask: True where the frame was measured (range, beam). Elsewhere the map is background.
+            mask: True where the frame was measured (range, beam); None means everywhere. Elsewhere the map is
+                background.
             engine: Runs the compiled functions.
+
+        Returns:
+            Map (range, beam): shadow 0, background 0.5, highlight 1. Where a network is unsure, values lie between.
         """
         if self.weights is not None:
             return np.array(engine.run(segment, image, self.weights, mask, tile=self.tile))
@@ -60,16 +64,32 @@ class Segmenter:
         self, image: Float[np.ndarray, "range beam"], mask: Bool[np.ndarray, "range beam"] | None = None,
         engine: Engine = PLAIN,
     ) -> UInt8[np.ndarray, "range beam"]:  # fmt: skip
-        """Labels (range, beam) of a frame: 0 background, 1 highlight, 2 shadow. Arguments as in `semantic`."""
+        """Label each pixel of a frame.
+
+        Args:
+            image: Grey frame (range, beam) in [0, 1].
+            mask: True where the frame was measured (range, beam); None means everywhere. Elsewhere the label is
+                background.
+            engine: Runs the compiled functions.
+
+        Returns:
+            Labels (range, beam): 0 background, 1 highlight, 2 shadow.
+        """
         if self.weights is None:
             return threshold_labels(image, self.name, mask)
         return from_grey(self.semantic(image, mask, engine))
 
 
 def load_segmenter(name: str | os.PathLike[str] = DEFAULT_SEGMENTER) -> Segmenter:
-    """Load the segmenter of a name in `SEGMENTERS`, or of a weights file that training wrote.
+    """Load a segmenter by its name, or from a weights file that training wrote.
 
     `help(sonarjax.segment)` says what each name stands for.
+
+    Args:
+        name: One of `SEGMENTERS`, or the path of a weights file (*.safetensors).
+
+    Returns:
+        The segmenter.
 
     Raises:
         SonarjaxError: There is no such name or file, or the file cannot be used.
@@ -94,6 +114,13 @@ def _is_number(value: Any, optional: bool = False) -> bool:
 
 
 def check_segmenter(name: str) -> None:
-    """Raise a SonarjaxError unless `name` is one of `SEGMENTERS` or ends as a weights file does."""
+    """Check the name of a segmenter, without reading a file.
+
+    Args:
+        name: One of `SEGMENTERS`, or the path of a weights file (*.safetensors).
+
+    Raises:
+        SonarjaxError: The name is neither.
+    """
     if name not in SEGMENTERS and not name.endswith(".safetensors"):
         raise SonarjaxError(f"segmenter: expected one of {', '.join(SEGMENTERS)} or a .safetensors file, got {name!r}")

@@ -52,18 +52,21 @@ def segment(
     closer: int = CLOSER,
     tile: tuple[int, int] = TILE,
 ) -> Float[Array, "range beam"]:
-    """Semantic map (range, beam) of a frame, by tiled inference: shadow 0, background 0.5, highlight 1.
+    """Compute the semantic map of a frame by tiled inference.
 
     A pure function; use `jax.vmap` for a batch of frames.
 
     Args:
         image: Grey frame (range, beam) in [0, 1].
         weights: The network.
-        mask: True where the frame was measured (range, beam). Elsewhere the map is background, and the network is given
-            the median of the measured pixels, which is mostly floor. Dark pixels there would make the floor beside them
-            look like highlight.
+        mask: True where the frame was measured (range, beam); None means everywhere. Elsewhere the map is background,
+            and the network is given the median of the measured pixels, which is mostly floor. Dark pixels there would
+            make the floor beside them look like highlight.
         closer: Most objects that get a closer look.
         tile: Largest size of a tile (range, beam) [pixels].
+
+    Returns:
+        Map (range, beam): shadow 0, background 0.5, highlight 1.
     """
     image = jnp.asarray(image, jnp.float32)
     seen = image if mask is None else jnp.where(mask, image, _median(image, mask))

@@ -20,7 +20,7 @@ WIDE_PATCHES = (3, 3)
 def ripple_brightness(
     sonar: Sonar, ranges: Float[Array, "range"], depth: Any, wavelength: Any, direction: Any
 ) -> Float[Array, "range beam"]:
-    """Brightness (range, beam) of a rippled floor: 1 + depth·sin(phase).
+    """Return the brightness of a rippled floor: 1 + depth·sin(phase).
 
     Slopes that face the sonar are brighter. To first order, a small slope changes Lambert's law in proportion (Urick,
     Principles of Underwater Sound, 1983, ch. 8). A single wave is a model of ours.
@@ -30,7 +30,10 @@ def ripple_brightness(
         ranges: Slant ranges (range,) [m].
         depth: How much brighter the brightest slopes are [1], below 1.
         wavelength: Distance between crests [m].
-        direction: Direction on the floor [rad] at right angles to the crests.
+        direction: Direction on the floor at right angles to the crests [rad].
+
+    Returns:
+        Factor on the energy of the floor (range, beam).
     """
     ground = jnp.sqrt(jnp.maximum(ranges**2 - jnp.asarray(sonar.height, jnp.float32) ** 2, 0.0))
     along = jnp.cos(jnp.asarray(sonar.azimuth, jnp.float32) - jnp.asarray(direction, jnp.float32))
@@ -39,9 +42,17 @@ def ripple_brightness(
 
 
 def slow_brightness(shape: tuple[int, int], std_db: Any, *, key: jax.Array) -> Float[Array, "range beam"]:
-    """Brightness (range, beam) that changes slowly over the frame: normal in dB, with standard deviation `std_db` [dB].
+    """Draw a brightness that changes slowly over the frame, normal in dB.
 
     No source: a model of ours for uneven insonification and a bottom of several kinds.
+
+    Args:
+        shape: Shape (range, beam) of the image.
+        std_db: Standard deviation of the brightness [dB].
+        key: Source of the random numbers.
+
+    Returns:
+        Factor on the energy (range, beam).
     """
     coarse = jax.random.normal(key, WIDE_PATCHES)
     smooth = jax.image.resize(coarse, shape, "cubic")

@@ -15,7 +15,7 @@ def compress(
     energy: Float[Array, "*batch"], gain: Any, log_share: Any, dynamic_range: Any, exponent: Any,
     saturation: Any = 0.0, black: Any = 0.0,
 ) -> Float[Array, "*batch"]:  # fmt: skip
-    """Grey value (...) in [0, 1] of each `energy` (...).
+    """Turn energy into grey values.
 
     Blends two curves that meet at white: a logarithm, and a power law. ARIS files store the logarithm over 80 dB (see
     `io.aris`). The power law with exponent 0.25 is about what an Oculus stores, as measured on real pings. No source
@@ -23,13 +23,16 @@ def compress(
 
     Args:
         energy: Energy (...) relative to the floor on the beam axis.
-        gain: How far [dB] an energy of 1 lies below white.
+        gain: How far an energy of 1 lies below white [dB].
         log_share: Weight of the logarithm [1]; the power law has the rest.
-        dynamic_range: Range [dB] of the logarithm from black to white.
+        dynamic_range: Range of the logarithm from black to white [dB].
         exponent: Power of energy [1]: 0.5 is amplitude, 0.25 its square root.
         saturation: Bends the power law g towards white, to arctan(s·g)/arctan(s), as viewers do that must show a glint
             beside a floor. 0 bends nothing.
-        black: Share of the grey scale that is shown as 0.
+        black: Share of the grey scale that is shown as 0 [1].
+
+    Returns:
+        Grey values (...) from 0 to 1.
     """
     nepers = jnp.log(jnp.maximum(energy, TINY)) - jnp.asarray(gain, jnp.float32) * (jnp.log(10.0) / 10)
     logarithm = 1 + nepers * (10 / jnp.log(10.0)) / dynamic_range
@@ -43,9 +46,15 @@ def compress(
 
 @jax.custom_jvp
 def quantise(image: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
-    """Round `image` (...) in [0, 1] to the nearest of the 256 values n/255. The derivative is defined as 1.
+    """Round grey values to the nearest of the 256 values n/255. The derivative is defined as 1.
 
     ARIS, DIDSON and Oculus files store eight bits (see `io`). No source for the derivative: a choice of ours.
+
+    Args:
+        image: Grey values (...) from 0 to 1.
+
+    Returns:
+        Rounded grey values (...).
     """
     return jnp.round(255 * image) / 255
 

@@ -123,16 +123,32 @@ class SensorModel:
 
     @classmethod
     def nominal(cls, severity: Scalar = 1.0) -> SensorModel:
-        """A DIDSON in a tank; `severity` 0 has no noise, 1 is as hard as the paper's frames, 2 has twice the noise.
+        """Return the model of a DIDSON in a tank.
 
         `experiments/calibrate_sensor.py` fitted the constants, to the paper's correlations only.
+
+        Args:
+            severity: Factor on noise and artefacts [1]: 0 for none, 1 for frames as hard as the paper's, 2 for twice
+                the noise.
+
+        Returns:
+            The model.
         """
         return cls().scaled(severity)
 
     @classmethod
     def draw(cls, *, key: jax.Array, severity: Scalar = 1.0) -> SensorModel:
-        """Draw a device of the family around DIDSON, ARIS and Oculus: each field from `RANGES`, noise scaled by
-        `severity`.
+        """Draw a device of the family around DIDSON, ARIS and Oculus: each field from `RANGES`.
+
+        Multipath by way of floor and surface is present in the shares `FLOOR_HEARD` and `SURFACE_HEARD` of the draws
+        only.
+
+        Args:
+            key: Source of the random numbers.
+            severity: Factor on noise and artefacts [1], as in `scaled`.
+
+        Returns:
+            The model of the device.
         """
         *keys, which = jax.random.split(key, len(RANGES) + 1)
         drawn = {name: _drawn(*RANGES[name], key=part) for name, part in zip(RANGES, keys, strict=True)}
@@ -149,6 +165,13 @@ class SensorModel:
 
         As `draw`, with the fields of `WIDE` drawn from there. Each field of `SELDOM` is present in its share of the
         draws only.
+
+        Args:
+            key: Source of the random numbers.
+            severity: Factor on noise and artefacts [1], as in `scaled`.
+
+        Returns:
+            The model of the device and place.
         """
         own, keys, which = (jax.random.fold_in(key, n) for n in range(3))
         device = cls.draw(key=own)
@@ -160,7 +183,16 @@ class SensorModel:
         return replace(device, **wider).scaled(severity)
 
     def scaled(self, severity: Scalar) -> SensorModel:
-        """The same device with its noise and artefacts (the fields in `SCALED`) multiplied by `severity`."""
+        """Multiply the noise and artefacts of the device (the fields in `SCALED`) by a factor.
+
+        No bounce becomes louder than the direct echo.
+
+        Args:
+            severity: The factor [1], as in `nominal`.
+
+        Returns:
+            The changed model.
+        """
         scaled = {name: severity * getattr(self, name) for name in SCALED}
         for name in ("floor_bounce", "floor_bounce_once", "surface_bounce"):  # none is louder than the direct echo
             scaled[name] = jnp.minimum(scaled[name], 1.0)

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sonarjax.render import RenderQuality, SonarFrame, Window
-from sonarjax.render.simulate import place_together
+from sonarjax.render.simulate import one_scene
 from sonarjax.render.window import render_afloat
 from sonarjax.scene import Mesh, Pose
 from sonarjax.sensor.model import SensorModel
@@ -23,19 +23,19 @@ WIDE_APERTURE = 2.4
 
 
 def bounce_points(points: Float[Array, "point 3"], sonar: Sonar, plane: Any, path: Any) -> Float[Array, "point 3"]:
-    """Where points appear to be when heard by way of a mirror in the plane z = `plane`.
+    """Return where points appear to be when heard by way of a mirror in the plane z = `plane`.
 
     The direction is that of the mirror image. The range is (1 − path)·direct + path·image (the image method: Urick,
     Principles of Underwater Sound, 1983, ch. 5).
 
     Args:
-        points: Points (point, 3) [m] in the ground frame.
+        points: Points in the ground frame (point, 3) [m].
         sonar: Gives the height of the sonar head.
         plane: Height of the mirror [m].
         path: 1 for a bounce on both ways, 1/2 for a bounce on one way.
 
     Returns:
-        Apparent points (point, 3) [m] in the ground frame.
+        Apparent points in the ground frame (point, 3) [m].
     """
     head = jnp.stack([jnp.zeros(()), jnp.zeros(()), jnp.asarray(sonar.height, jnp.float32)])
     direct = jnp.sqrt(jnp.square(points - head).sum(-1, keepdims=True))
@@ -45,10 +45,20 @@ def bounce_points(points: Float[Array, "point 3"], sonar: Sonar, plane: Any, pat
 
 
 def bounce_mesh(mesh: Mesh, pose: Pose, sonar: Sonar, plane: Any, path: Any) -> Mesh:
-    """Mirror the mesh at `pose` in z = `plane` [m] as `bounce_points` does; the result is in the ground frame.
+    """Mirror a mesh in the plane z = `plane`, as `bounce_points` does.
 
     Faces still look outwards. Faces that lie on the mirror are dropped, because no sound gets between. The image method
     (Urick, 1983, ch. 5).
+
+    Args:
+        mesh: A single mesh.
+        pose: Its pose, a single one.
+        sonar: Gives the height of the sonar head.
+        plane: Height of the mirror [m].
+        path: 1 for a bounce on both ways, 1/2 for a bounce on one way.
+
+    Returns:
+        The mirrored mesh, in the ground frame.
     """
     ground = pose.to_ground(mesh.vertices)
     on_plane = jnp.all(jnp.abs(ground[mesh.faces][..., 2] - plane) < 1e-3, axis=1)
@@ -64,19 +74,28 @@ def render_bounces(
     *,
     quality: RenderQuality = BOUNCE_QUALITY,
 ) -> SonarFrame:
-    """Render the echoes (range, beam) that arrive by way of floor and water surface, times the model's bounce
-    coefficients.
+    """Render the echoes that arrive by way of floor and water surface.
 
-    The frame's highlight says where they are. It has no shadow and no floor. An object that stands on the mirror hides
-    the face between; otherwise what the object hides of its own mirror image is ignored. The image method (Urick, 1983,
-    ch. 5) with one bounce each; one loss for all angles is a simplification of ours.
+    An object that stands on the mirror hides the face between; otherwise what the object hides of its own mirror image
+    is ignored. The image method (Urick, 1983, ch. 5) with one bounce each; one loss for all angles is a simplification
+    of ours.
+
+    Args:
+        mesh: One mesh, or a sequence of meshes that stand in the same scene.
+        pose: One pose of the mesh [m, rad], or a sequence with one pose for each mesh.
+        sonar: The sonar that looks.
+        model: Gives the water depth, and path and remaining share of energy of each bounce.
+        quality: How finely to render.
+
+    Returns:
+        A frame (range, beam). Its intensity is the echoes' energy times the model's bounce coefficients, its highlight
+        says where they are. It has no shadow and no floor.
 
     Raises:
-        SonarjaxError: As `render`.
+        SonarjaxError: The numbers of meshes and poses differ, or a pose (unless traced) is not finite or absurdly far
+            away.
     """
-    if not isinstance(mesh, Mesh):
-        mesh, pose = place_together(mesh, pose)
-    assert isinstance(pose, Pose)
+    mesh, pose = one_scene(mesh, pose)
 
     def echo(mirror: tuple[Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
         plane, path, left = mirror

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from sonarjax.exact import full_precision
 from sonarjax.render import RenderQuality, SonarFrame, render
-from sonarjax.render.simulate import place_together, with_enough_room
+from sonarjax.render.simulate import one_scene, with_enough_room
 from sonarjax.scene import Mesh, Pose
 from sonarjax.sensor.beams import (
     beam_gains,
@@ -62,7 +62,7 @@ def observe(
     key: jax.Array,
     bounces: SonarFrame | None = None,
 ) -> Float[Array, "range beam"]:
-    """Turn a rendered frame into the grey image (range, beam) that a device stores: 256 values in [0, 1].
+    """Turn a rendered frame into the grey image that a device stores.
 
     If the frame was rendered with the sonar's own aperture, the vertical pattern ends sharply there. `observe_scene`
     renders beyond it, so that the image fades. Works under `jit` and `vmap` over keys, models, frames and sonars.
@@ -74,6 +74,9 @@ def observe(
         model: The device and its water.
         key: Source of all random numbers.
         bounces: Multipath echoes from `render_bounces`; None for none.
+
+    Returns:
+        Grey image (range, beam) of 256 values from 0 to 1.
     """
     sonar = frame.sonar
     gains_key, texture_key, speckle_key = jax.random.split(key, 3)
@@ -101,12 +104,20 @@ def _with_oddities(energy: Array, sonar: Sonar, model: SensorModel, *, key: jax.
 def received_energy(
     frame: SonarFrame, model: SensorModel, bounces: SonarFrame | None = None
 ) -> Float[Array, "range beam"]:
-    """Mean energy (range, beam) after propagation, beams, pulse and gain, relative to the floor on the beam axis.
+    """Return the mean energy that is left after propagation, beams, pulse and gain.
 
     Nothing in it is random: `observe` multiplies it by speckle. The vertical pattern is taken at the floor's elevation
     in each pixel, for objects too; bounces come from other angles and are left without it. The terms are those of the
     sonar equation (Urick, Principles of Underwater Sound, 1983, ch. 2), on top of eq. 2. Models of ours: one
     backscatter for all objects, and a free power of cos(incidence) for the floor, after Lambert's law (Urick, ch. 8).
+
+    Args:
+        frame: The rendered frame.
+        model: The device and its water.
+        bounces: Multipath echoes from `render_bounces`; None for none.
+
+    Returns:
+        Mean energy (range, beam), relative to the floor on the beam axis.
     """
     sonar = frame.sonar
     ranges = range_middles(sonar)
@@ -138,9 +149,17 @@ def _is_absent(share: Any) -> bool:
 
 
 def speckle(sonar: Sonar, model: SensorModel, *, key: jax.Array) -> Float[Array, "range beam"]:
-    """Draw speckle intensity (range, beam) of mean 1 with the model's contrast, looks and correlation.
+    """Draw speckle with the model's contrast, looks and correlation.
 
     No source for the order of the steps: each of them, from `complex_field` to `multi_look`, has its own.
+
+    Args:
+        sonar: Gives the shape of the image and the beams.
+        model: Gives contrast, looks and correlation.
+        key: Source of the random numbers.
+
+    Returns:
+        Intensity (range, beam) of mean 1.
     """
     contrast = jnp.clip(jnp.asarray(model.speckle, jnp.float32), 0.0, 1.0)
     diffuse = 1 - jnp.sqrt(jnp.maximum(1 - contrast**2, 1e-12))
@@ -161,17 +180,22 @@ def observe_scene(
 ) -> tuple[Float[Array, "range beam"], SonarFrame]:
     """Render objects on the floor with their multipath, and observe them (eq. 1–2, `render_bounces`, `observe`).
 
-    Arguments as in `render` and `observe`.
+    Args:
+        mesh: One mesh, or a sequence of meshes that stand in the same scene.
+        pose: One pose of the mesh [m, rad], or a sequence with one pose for each mesh.
+        sonar: The sonar that looks.
+        model: The device and its water.
+        key: Source of all random numbers.
+        quality: How finely to render the objects. Multipath has a quality of its own.
 
     Returns:
         The observed image (range, beam), and the clean frame behind it.
 
     Raises:
-        SonarjaxError: As `render`.
+        SonarjaxError: The numbers of meshes and poses differ, or a pose (unless traced) is not finite or absurdly far
+            away.
     """
-    if not isinstance(mesh, Mesh):
-        mesh, pose = place_together(mesh, pose)
-    assert isinstance(pose, Pose)
+    mesh, pose = one_scene(mesh, pose)
     found = with_enough_room(lambda roomy: _observe_scene(roomy, pose, sonar, model, key, quality), mesh)
     return found.image, found.frame
 

@@ -49,7 +49,7 @@ class SizeEstimate:
     poses: Pose
     """The object's pose in each frame (frame,)."""
     residual: np.ndarray
-    """RMS of each frame's residuals (frame,), divided by what is usual in all."""
+    """RMS of each frame's residuals (frame,), divided by the median over all frames."""
     converged: bool
     """True if the last step was small."""
 
@@ -85,16 +85,20 @@ def fit_size(
         sonar: The sonar.
         poses: Poses (frame,) that are right to a few centimetres and degrees, such as those from matching with the
             mesh.
-        free: Names of the extents to fit.
-        prior: Standard deviations of the extents' logarithms [1], by name. The default of 0.25 allows for a mesh that
-            is a quarter too small or too large.
-        masks: True where pixels were measured (frame, range, beam).
+        free: Names of the extents to fit, by default all three: `object_length`, `object_width`, `object_height`.
+        prior: Standard deviations of the extents' logarithms [1], by name. Extents that
+            are not given have 0.25, which allows for a mesh that is a quarter too small or too large.
+        masks: True where pixels were measured (frame, range, beam); None, also for a single frame, means everywhere.
         engine: Runs the compiled functions.
         progress: Called with a text that says what is being done.
 
+    Returns:
+        The mesh with the fitted extents (3,) [m], how certain these are, and the object's pose in each frame [m, rad].
+
     Raises:
         SonarjaxError: There are no frames, their shapes do not fit the sonar, they are all the same, values are not
-            finite, there is another number of poses, the object is out of view, or an extent does not exist.
+            finite, there is another number of poses or masks, the object is out of view, an extent does not exist or
+            is repeated, or a prior is not positive or belongs to no free extent.
     """
     names = in_order(free, SIZES)
     std = prior_std(names, prior, sonar)

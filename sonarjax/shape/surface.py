@@ -113,13 +113,17 @@ def fit_surface(
         sonar: The sonar.
         poses: Known poses of the body (frame,).
         config: How to search.
-        masks: True where pixels were measured (frame, range, beam).
+        masks: True where pixels were measured (frame, range, beam); None, also for a single frame, means everywhere.
         engine: Runs the compiled functions.
         progress: Called with a text that says what is being done.
 
+    Returns:
+        The mesh with fitted vertices (vertex, 3) [m], how far each moved, and the correlation with the frames.
+
     Raises:
         SonarjaxError: There are no frames, their shapes do not fit the sonar, they are all the same, values are not
-            finite, there is another number of poses, the body is out of view, or the mesh has too many vertices.
+            finite, there is another number of poses or masks, the body is out of view, or the mesh has too many
+            vertices.
     """
     images, measured = check_frames(frames, masks, sonar)
     starts = starts_of(poses, len(images), sonar)

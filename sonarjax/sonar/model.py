@@ -69,7 +69,10 @@ class Sonar:
 
         Args:
             name: A name in `sonarjax.sonar.PRESETS`.
-            overrides: Values for fields of `Sonar`, in metres and radians.
+            **overrides: Values for fields of `Sonar`, in the units of the fields (lengths [m], angles [rad]).
+
+        Returns:
+            The sonar.
 
         Raises:
             SonarjaxError: The name or a field is unknown, or a value is impossible.
@@ -84,14 +87,23 @@ class Sonar:
     def from_toml(cls, path: str | Path) -> Sonar:
         """Read a `sonar.toml`, in which angles are in degrees where the key says `_deg`.
 
+        Args:
+            path: The file.
+
+        Returns:
+            The sonar, as `sonar_from_dict` makes it.
+
         Raises:
-            SonarjaxError: A key is unknown or missing, or a value is impossible. The message names the file and the
-                key.
+            SonarjaxError: The file cannot be read, a key is unknown or missing, or a value is impossible. The message
+                names the file and the key.
         """
         return sonar_from_dict(read_toml(path), str(path))
 
     def to_toml(self, path: str | Path) -> None:
         """Write a `sonar.toml` that `from_toml` reads back as the same sonar.
+
+        Args:
+            path: The file to write.
 
         Raises:
             SonarjaxError: A value is impossible, traced or batched, or the file cannot be written.
@@ -99,7 +111,14 @@ class Sonar:
         write_sonar(self, path)
 
     def replace(self, **changes: Any) -> Sonar:
-        """A copy with some fields replaced (metres and radians)."""
+        """Return a copy with some fields replaced.
+
+        Args:
+            **changes: New values, in the units of the fields (lengths [m], angles [rad]); they are not checked.
+
+        Returns:
+            The copy.
+        """
         return replace(self, **changes)
 
     @property

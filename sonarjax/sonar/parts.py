@@ -30,10 +30,10 @@ class FloorPatch:
 
 @record
 class GeometryStd:
-    """How well a sonar's geometry is known: standard deviations, for example from a calibration; 0 where none is
-    stated.
-    `range_scale`, `azimuth_scale`, `beam_bend` and `beam_skew` are the parameters of that name in
-    `sonarjax.calibrate.PARAMETERS`.
+    """How well a sonar's geometry is known: standard deviations, for example from a calibration.
+
+    A value is 0 where none is stated. `range_scale`, `azimuth_scale`, `beam_bend` and `beam_skew` are the parameters of
+    that name in `sonarjax.calibrate.PARAMETERS`.
     """
 
     tilt: Scalar = 0.0

@@ -1,4 +1,5 @@
 """Imaging sonars by name: `Sonar.preset("didson-hf", tilt=0.35)` uses them, `PRESETS` lists the devices.
+
 A name stands for a device: beams, aperture and frequency. All presets are mounted in the paper's tank (Table 1 and
 §4.1): tilt 15°, 0.9 m above the floor, window 1.5–4.0 m in 512 bins. Where a recording's own header or a `sonar.toml`
 gives beam angles, prefer them to the idealised ones here.

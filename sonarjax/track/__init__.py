@@ -4,10 +4,8 @@ from sonarjax.track.belief import Belief, Measurement, Numbers, next_belief, not
 from sonarjax.track.measurement import Mode, measurement_of, modes_of
 from sonarjax.track.motion import Motion, Standing, TrackConfig, Turning
 from sonarjax.track.sequence import Track, Tracked, Tracker, track
-from sonarjax.track.smooth import run_smoother
 
 __all__ = [
-    "Belief", "Mode", "Motion", "Numbers", "Measurement", "Standing", "Track", "TrackConfig", "Tracked", "Tracker",
-    "Turning", "modes_of", "next_belief", "nothing_known", "numbers_of", "measurement_of", "run_filter", "run_smoother",
-    "track",
+    "Belief", "Measurement", "Mode", "Motion", "Numbers", "Standing", "Track", "TrackConfig", "Tracked", "Tracker",
+    "Turning", "measurement_of", "modes_of", "next_belief", "nothing_known", "numbers_of", "run_filter", "track",
 ]  # fmt: skip

@@ -97,7 +97,15 @@ class Numbers:
 
 
 def numbers_of(motion: Motion, config: TrackConfig) -> Numbers:
-    """The numbers of a motion and a config; evidence fades by exp(-1 / memory) with each frame."""
+    """Collect the numbers of a motion and a config; evidence fades by exp(-1 / memory) with each frame.
+
+    Args:
+        motion: How the object may move between frames.
+        config: How frames are weighted.
+
+    Returns:
+        The numbers, without batch axes.
+    """
     rates = (motion.rate_std, motion.rate_drift) if isinstance(motion, Turning) else (0.0, 0.0)
     values = (
         *rates, motion.yaw_drift, motion.place_drift, config.floor, config.place_floor, config.aspect,
@@ -107,7 +115,14 @@ def numbers_of(motion: Motion, config: TrackConfig) -> Numbers:
 
 
 def nothing_known(config: TrackConfig) -> Belief:
-    """The belief before the first frame: the object may be anywhere."""
+    """Make the belief before the first frame: the object may be anywhere.
+
+    Args:
+        config: Its `components` is the number of Gaussians.
+
+    Returns:
+        The belief (component,), in which only the component 'anywhere' has a weight.
+    """
     count = config.components
     weight = np.full(count, -np.inf, np.float32)
     weight[0] = 0.0
@@ -125,11 +140,19 @@ def nothing_known(config: TrackConfig) -> Belief:
 
 
 def step(belief: Belief, measurement: Measurement, numbers: Numbers) -> Belief:
-    """Update the belief by one more frame: predict it over `elapsed`, to the sonar's present pose, then apply the
-    measurement.
+    """Update a belief by one more frame.
 
-    The yaw of every component stays in [0, 2π). If all hypotheses of `measurement` have weight -inf, the belief is only
-    predicted.
+    It is predicted over the time since the previous frame, to the sonar's present pose; then the measurement is
+    applied. The yaw of every component stays in [0, 2π). If all hypotheses of `measurement` have weight -inf, the
+    belief is only predicted.
+
+    Args:
+        belief: The belief after the previous frame (component,).
+        measurement: What was found in this frame (hypothesis,).
+        numbers: The numbers of motion and config, from `numbers_of`.
+
+    Returns:
+        The belief after this frame (component,).
     """
     mean, covariance, _, _ = predicted(belief, measurement.sonar, measurement.elapsed, numbers)
     fading = jnp.where(jnp.isfinite(measurement.log_weight).any(), numbers.fading, 1.0)
@@ -230,8 +253,8 @@ def _rotation(angle: Array) -> Float[Array, "2 2"]:
 
 @full_precision
 def to_common(pose: Float[Array, "3"], sonar: Float[Array, "3"]) -> Float[Array, "3"]:
-    """A pose (yaw [rad], x, y [m]) of the sonar's frame in the common frame, in which the sonar is at `sonar`
-    (x, y, yaw).
+    """Transform a pose (yaw [rad], x, y [m]) from the frame of a sonar, which is at `sonar` (x, y, yaw), to the common
+    frame.
     """
     place = sonar[:2] + _rotation(sonar[2]) @ pose[1:]
     return jnp.concatenate([(pose[:1] + sonar[2]), place])
@@ -266,7 +289,16 @@ def _first(pose: Array, std: Array, sonar: Array, numbers: Numbers) -> tuple[Arr
 
 @jax.jit
 def run_filter(belief: Belief, measurements: Measurement, numbers: Numbers) -> Belief:
-    """The beliefs (frame, component) after each of the `measurements` (frame, hypothesis), one step for each."""
+    """Update a belief by a sequence of frames, one step for each.
+
+    Args:
+        belief: The belief before the first frame (component,).
+        measurements: What was found in each frame (frame, hypothesis).
+        numbers: The numbers of motion and config, from `numbers_of`.
+
+    Returns:
+        The beliefs after each frame (frame, component).
+    """
 
     def one(before: Belief, measurement: Measurement) -> tuple[Belief, Belief]:
         after = step(before, measurement, numbers)

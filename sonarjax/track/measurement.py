@@ -1,4 +1,4 @@
-"""Turn a recognizer's hypotheses into a `Measurement`, and a belief into its modes, the most likely first."""
+"""Turn a recognizer's hypotheses into a `Measurement`, and a belief into its modes."""
 
 from __future__ import annotations
 
@@ -51,10 +51,19 @@ class Mode:
 def measurement_of(
     found: Recognition | None, yaw_bins: int, config: TrackConfig, sonar: np.ndarray, elapsed: float
 ) -> Measurement:
-    """The hypotheses of a recognition as a measurement; None for a frame that could not be recognized.
+    """Turn the hypotheses of a recognition into a measurement.
 
-    Each hypothesis is entered with two errors: that of its error bar, and the larger one of the tails. `sonar` (3,) is
-    the sonar's pose: x, y [m], yaw [rad]. `elapsed` is the time since the previous frame [frames].
+    Each hypothesis is entered twice: with the error of its error bar, and with the larger one of the tails.
+
+    Args:
+        found: The recognition; None for a frame that could not be recognized.
+        yaw_bins: Number of yaw bins of the recognizer, for the error of a hypothesis without an error bar.
+        config: How frames are weighted.
+        sonar: Pose of the sonar in the common frame (3,): x, y [m] and yaw [rad].
+        elapsed: Time since the previous frame [frames].
+
+    Returns:
+        The measurement; its axis (hypothesis,) is twice as long as `config.hypotheses` says.
     """
     count = config.hypotheses
     weight = np.full((2, count), -np.inf)
@@ -102,7 +111,14 @@ def _place(one: Hypothesis, found: Recognition) -> tuple[float, float]:
 
 
 def modes_of(belief: Belief) -> tuple[Mode, ...]:
-    """The possible poses of one belief (component), the most likely first. Components of one yaw are joined."""
+    """List the possible poses of one belief; components of one yaw are joined.
+
+    Args:
+        belief: The belief (component,).
+
+    Returns:
+        The modes, the most likely first. They are empty if only the component 'anywhere' has a weight.
+    """
     log_weight = np.asarray(belief.log_weight, float)
     weight = np.exp(log_weight[1:])
     mean, covariance = (np.asarray(v, float)[1:] for v in (belief.mean, belief.covariance))

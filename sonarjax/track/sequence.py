@@ -111,16 +111,19 @@ class Tracker:
     def __call__(
         self, image: Any, mask: Any = None, *, sonar_pose: Pose | None = None, elapsed: float = 1.0
     ) -> Tracked:
-        """Update the belief by one more frame.
+        """Recognize one more frame and update the belief by it.
 
-        A frame that cannot be recognized raises nothing: the belief is predicted, and `error` says why.
+        A frame that cannot be recognized raises nothing: the belief is only predicted, and `error` says why.
 
         Args:
             image: The frame (range, beam).
-            mask: True where the frame was measured (range, beam); None for everywhere.
+            mask: True where a pixel was measured (range, beam); None means everywhere.
             sonar_pose: Pose of the sonar in the common frame [m, rad]: the floor point below it and its heading. By
                 default the common frame is the sonar's own.
-            elapsed: Time since the previous frame, in frames.
+            elapsed: Time since the previous frame [frames].
+
+        Returns:
+            The belief after this frame.
 
         Raises:
             SonarjaxError: The sonar's pose or the time cannot be used.
@@ -137,12 +140,22 @@ class Tracker:
     def recognize(
         self, image: Any, mask: Any = None, *, sonar_pose: Pose | None = None, elapsed: float = 1.0
     ) -> Recognition:
-        """What one frame (range, beam) alone says, refined from the predicted poses too. The belief stays as it is.
+        """Recognize one frame by itself, refined from the predicted poses too; the belief stays as it is.
+
+        Args:
+            image: The frame (range, beam).
+            mask: True where a pixel was measured (range, beam); None means everywhere.
+            sonar_pose: Pose of the sonar in the common frame [m, rad]; None if that is the sonar's own.
+            elapsed: Time since the previous frame [frames].
+
+        Returns:
+            What the frame alone says.
 
         Raises:
-            SonarjaxError: As a `Recognizer`.
+            SonarjaxError: As a `Recognizer`, or the sonar's pose or the time cannot be used.
         """
         at = _sonar_numbers(sonar_pose)
+        _check_elapsed(elapsed)
         options: dict[str, Any] = {"threshold": self.threshold}
         if self.expect and self._begun and self.recognizer.refine is not None:
             options["starts"] = self._starts(at, elapsed)
@@ -152,8 +165,19 @@ class Tracker:
         self, found: Recognition | None, *, sonar_pose: Pose | None = None, elapsed: float = 1.0,
         error: str | None = None,
     ) -> Tracked:  # fmt: skip
-        """Update the belief by a frame that was recognized elsewhere, or that could not be recognized (None,
-        and the reason).
+        """Update the belief by a frame that was recognized elsewhere, or that could not be recognized.
+
+        Args:
+            found: What the frame alone says; None if it could not be recognized.
+            sonar_pose: Pose of the sonar in the common frame [m, rad]; None if that is the sonar's own.
+            elapsed: Time since the previous frame [frames]; it does not count for the first frame.
+            error: Why the frame could not be recognized.
+
+        Returns:
+            The belief after this frame.
+
+        Raises:
+            SonarjaxError: The sonar's pose or the time cannot be used.
         """
         at = _sonar_numbers(sonar_pose)
         _check_elapsed(elapsed)
@@ -164,8 +188,20 @@ class Tracker:
         return Tracked(modes_of(self.belief), found, error, self.belief)
 
     def expected(self, sonar_pose: Pose | None = None, elapsed: float = 1.0) -> tuple[Mode, ...]:
-        """The modes predicted for `elapsed` [frames] later in the common frame, with the sonar then at `sonar_pose`."""
+        """Predict the modes of the belief for a later time.
+
+        Args:
+            sonar_pose: Pose of the sonar at that time in the common frame [m, rad]; None if that is the sonar's own.
+            elapsed: Time since the last frame [frames].
+
+        Returns:
+            The predicted modes in the common frame, the most likely first.
+
+        Raises:
+            SonarjaxError: The sonar's pose or the time cannot be used.
+        """
         at = _sonar_numbers(sonar_pose)
+        _check_elapsed(elapsed)
         mean, covariance, _, _ = _predict(self.belief, jnp.asarray(at), jnp.float32(elapsed), self.numbers)
         return modes_of(replace(self.belief, mean=mean, covariance=covariance))
 
@@ -192,7 +228,7 @@ def track(
     threshold: float | None = None,
     expect: bool = True,
 ) -> Track:
-    """Track a target over a sequence of frames: a belief over its pose after each of them.
+    """Track a target over a sequence of frames, by a belief over its pose after each frame.
 
     This assumes one object, and a sonar whose geometry is right: only `TrackConfig.floor` allows for errors that all
     frames share.
@@ -203,16 +239,18 @@ def track(
         motion: How the object may move between frames.
         sonar_poses: The sonar's known poses (frame,) [m, rad] in a common frame on the floor. Views from several places
             then give one belief, in that frame.
-        masks: True where a pixel was measured, one for each frame; None for everywhere.
+        masks: One mask (range, beam) for each frame, true where a pixel was measured; None means everywhere.
         times: When each frame was taken (frame,), in the unit of the motion's rates. By default frames are 1 apart.
         smooth: Let the belief of each frame use the later frames too.
         config: How frames are weighted.
-        threshold: As in `Tracker`.
-        expect: As in `Tracker`.
+        threshold, expect: As in `Tracker`.
+
+    Returns:
+        The belief after each frame, or with `smooth` given all frames.
 
     Raises:
         SonarjaxError: There are no frames; shapes differ; masks, poses or times do not fit; no frame can be recognized;
-            or the target is identified in none.
+            the target is identified in none; or `recognizer` or `motion` does not suit a `Tracker`.
     """
     images, masked, poses, elapsed = _checked(frames, masks, sonar_poses, times)
     tracker = Tracker(recognizer, motion, config=config, threshold=threshold, expect=expect)

@@ -27,9 +27,16 @@ LEAST_VARIANCE = 1e-10
 
 @jax.jit
 def run_smoother(beliefs: Belief, numbers: Numbers) -> Belief:
-    """Smooth the beliefs (frame, component) of a filter: afterwards each component is one complete history.
+    """Smooth the beliefs of a filter; afterwards each component is one complete history.
 
     Histories that the filter dropped are lost. `parent` and `gain` lose their meaning.
+
+    Args:
+        beliefs: The beliefs of the filter (frame, component).
+        numbers: The numbers of motion and config that the filter used.
+
+    Returns:
+        The smoothed beliefs (frame, component).
     """
     last = jax.tree.map(lambda v: v[-1], beliefs)
     earlier, later = (jax.tree.map(lambda v, cut=cut: v[cut], beliefs) for cut in (slice(None, -1), slice(1, None)))

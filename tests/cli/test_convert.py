@@ -140,6 +140,8 @@ def test_frame_of_the_right_shape_is_recognized(command, place, fan, tmp_path, s
         (("FAN", *SECTOR, "--out", "FAN"), 2, "would overwrite the input"),
         (("FAN", *SECTOR, "--out", "missing/p.npz"), 2, "missing/p.npz: cannot be written"),
         (("FAN", *SECTOR, "--width", 300, "--out", "p.npz"), 2, "--width: can only be used with a .png"),
+        (("a.npy", *SECTOR, "--apex", 0, "--out", "p.png"), 2, "--apex: can only be used with a .npz"),
+        (("a.npy", "--range-min", 0, "--out", "p.bag"), 2, "--range-min: cannot be used with the bag"),
         (("a.npy", *SECTOR, "--whole", "--out", "p.png"), 2, "--whole: can only be used with a .npz"),
         (("FAN", *SECTOR[:2], "--range-min", 4, "--range-max", 1.5, "--out", "p.npz"), 2, "fan.png: fan: range"),
         (("FAN", "--opening-deg", 0, *SECTOR[2:], "--out", "p.npz"), 2, "fan.png: fan: opening"),

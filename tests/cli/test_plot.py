@@ -154,3 +154,9 @@ def test_a_saved_figure_is_reproducible_and_all_or_nothing(axes, tmp_path):
     assert b"<svg" in (tmp_path / "d.svg").read_bytes()
     with pytest.raises(SonarjaxError, match="cannot be written"):
         plot.save_figure(axes.figure, tmp_path / "absent" / "a.png")
+
+
+def test_calibration_needs_a_template_of_each_kind_for_each_frame(sonar):
+    frames = [port_bright(sonar)] * 2
+    with pytest.raises(SonarjaxError, match="expected as many templates of each kind as frames, got 2, 2 and 1"):
+        plot.plot_calibration(frames, frames, frames[:1], sonar)

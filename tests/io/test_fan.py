@@ -12,6 +12,7 @@ from scipy.ndimage import gaussian_filter
 from experiments.common.fans import sector_of
 from sonarjax.io import (
     FanGeometry,
+    FanOptions,
     PictureBox,
     SonarjaxError,
     content_box,
@@ -267,3 +268,9 @@ def test_what_cannot_be_is_refused(call, words):
 
 def polar(azimuth, edges):
     return polar_to_fan(np.ones((2, 2)), azimuth, edges, fit_fan(BOX, 0.5, 1.0, 2.0), (5, 5))
+
+
+@pytest.mark.parametrize("name", ["beams", "bins", "width"])
+def test_options_of_no_size_are_refused(name: str) -> None:
+    with pytest.raises(SonarjaxError, match=f"--{name}: expected a number of 1 or more, got 0"):
+        FanOptions(**{name: 0})

@@ -88,6 +88,8 @@ def test_a_target_that_is_nowhere_in_view_is_named() -> None:
     search = TargetSearch(high, SONAR, CONFIG, name="balloon", compact=True)
     with pytest.raises(sj.SonarjaxError, match="balloon: at no distance"):
         search.find_near(0, np.zeros(SONAR.shape, np.float32))
+    with pytest.raises(sj.SonarjaxError, match="targets: at no distance"):
+        FirstLook([search, search]).prepare()
 
 
 def test_only_the_banks_that_were_looked_at_last_are_kept(look: FirstLook, monkeypatch: pytest.MonkeyPatch) -> None:

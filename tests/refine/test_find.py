@@ -69,3 +69,13 @@ def test_a_pose_that_neither_settled_nor_fits_better_is_not_kept():
 def test_what_cannot_be_free_is_refused():
     with pytest.raises(sj.SonarjaxError, match="free: expected names"):
         sj.PoseFinder(MESH, SONAR, free=("yaw", "heave"))
+
+
+@pytest.mark.parametrize(
+    ("image", "mask", "words"),
+    [((4, 4), None, "image: expected shape"), (SONAR.shape, (4, 4), "mask: expected the image's shape")],
+)
+def test_a_frame_of_another_shape_is_refused(image, mask, words):
+    finder = sj.PoseFinder(MESH, SONAR, segmenter="otsu")
+    with pytest.raises(sj.SonarjaxError, match=words):
+        finder(np.zeros(image), None if mask is None else np.ones(mask, bool))

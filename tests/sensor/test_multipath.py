@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from sonarjax.io import SonarjaxError
 from sonarjax.render import RenderQuality, SonarFrame
 from sonarjax.scene import Mesh, Pose, objects
 from sonarjax.sensor import SensorModel, bounce_mesh, bounce_points, observe_scene, render_bounces
@@ -112,3 +113,12 @@ def test_a_bounce_differentiates() -> None:
     step = 1e-2
     slope = float(total(jnp.float32(step)) - total(jnp.float32(-step))) / (2 * step)
     assert float(jax.grad(total)(jnp.float32(0.0))) == pytest.approx(slope, rel=1e-3)
+
+
+@pytest.mark.parametrize("pose", [Pose(x=math.nan), [Pose(x=2.0), Pose(yaw=math.inf)]])
+def test_a_pose_that_is_not_finite_is_refused(pose: Pose | list[Pose], key: jax.Array) -> None:
+    sonar, model = Sonar.preset("didson-hf"), SensorModel.nominal()
+    mesh = objects.brick() if isinstance(pose, Pose) else [objects.brick()] * 2
+    for render in (render_bounces, partial(observe_scene, key=key)):
+        with pytest.raises(SonarjaxError, match="pose: (x|yaw): expected a number from"):
+            render(mesh, pose, sonar, model)

@@ -73,8 +73,9 @@ class Batches:
 
 @lru_cache(2)
 def _order(recipe: Recipe, epoch: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """For one epoch of a set, from the seed and the epoch alone: the order of the pairs, which are mirrored,
-    which plain.
+    """The order of the pairs in one epoch, which of them are mirrored, and which are plain.
+
+    They depend on the seed and the number of the epoch only.
     """
     rng = np.random.Generator(np.random.Philox(key=[recipe.run_seed, epoch]))
     mirrored, plain = (rng.random(recipe.pairs) < share for share in (recipe.mirrored, recipe.plain))

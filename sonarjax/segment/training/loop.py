@@ -75,6 +75,9 @@ def train(
         resume: Continue a run from its last checkpoint, to the same weights.
         engine: Makes the pairs: on a CPU use `sonarjax.cpu.CpuEngine()`.
 
+    Returns:
+        How the run ended.
+
     Raises:
         SonarjaxError: The recipe or the folder cannot be used; or a loss is not finite or has diverged, in which case
             the last checkpoint before that is kept.

@@ -34,8 +34,8 @@ class Recipe:
     sets: int = 1
     """How many sets are made, one after the other."""
     mirrored: float = 0.5
-    """Share of pairs [1] that are mirrored, port for starboard; other pairs in each pass. A mirrored scene is
-    as likely.
+    """Share of pairs [1] that are mirrored, port for starboard; each pass mirrors other pairs. A mirrored scene is
+    as likely as the original.
     """
     plain: float = 0.04
     """Share of pairs [1] whose image is replaced by the semantic map, so that frames of `sonarjax render` can
@@ -70,7 +70,14 @@ class Recipe:
         return self.epochs * self.epoch_steps
 
     def checked(self) -> Recipe:
-        """Return the recipe itself. Raises SonarjaxError if it cannot be followed."""
+        """Check that the recipe can be followed.
+
+        Returns:
+            The recipe itself.
+
+        Raises:
+            SonarjaxError: It cannot be followed.
+        """
         for name in ("batch", "pairs", "passes", "sets", "validation_pairs", "checkpoint_steps", "log_steps"):
             if getattr(self, name) < 1:
                 raise SonarjaxError(f"recipe: {name}: expected 1 or more, got {getattr(self, name)}")
@@ -89,7 +96,11 @@ class Recipe:
         return self
 
     def as_json(self) -> dict[str, Any]:
-        """The recipe in JSON types."""
+        """Convert the recipe to JSON types.
+
+        Returns:
+            The fields by name, those of `networks` and `pair_settings` nested.
+        """
         return json.loads(json.dumps(dataclasses.asdict(self)))
 
 
@@ -147,6 +158,12 @@ PRESETS["paper"] = replace(
 def find_recipe(preset: str | Recipe) -> Recipe:
     """Find a recipe by its name, or take one as it is.
 
+    Args:
+        preset: A recipe, or its name in `PRESETS`.
+
+    Returns:
+        The recipe.
+
     Raises:
         SonarjaxError: The name is unknown, or the recipe cannot be followed.
     """
@@ -158,6 +175,13 @@ def find_recipe(preset: str | Recipe) -> Recipe:
 
 
 def discriminative(recipe: Recipe) -> Recipe:
-    """The same run for the paper's 'discriminative model': the same U-Net and pairs, with cross-entropy alone."""
+    """Change a recipe to the paper's 'discriminative model'.
+
+    Args:
+        recipe: A recipe for pix2pix.
+
+    Returns:
+        The same run with the same U-Net and pairs, trained on cross-entropy alone.
+    """
     networks = replace(recipe.networks, head="classes")
     return replace(recipe, name=f"{recipe.name}-discriminative", networks=networks, discriminative=True)

@@ -21,7 +21,7 @@ LIBRARIES = ("sonarjax", "jax", "jaxlib", "flax", "optax", "numpy")
 def open_run(recipe: Recipe, run_dir: Path, resume: bool) -> None:
     """Make `run_dir` the folder of a run of `recipe`. All processes call it; the first one writes.
 
-    To resume where no run was started is to start one.
+    If `resume` is true and the folder holds no run, a new run is started.
 
     Raises:
         SonarjaxError: The folder holds a run and `resume` is false, its run has another recipe, or it cannot be used.
