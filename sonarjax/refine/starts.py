@@ -203,7 +203,7 @@ def _drop(scores: np.ndarray) -> float:
 
 def is_kept(estimate: YawEstimate) -> Any:
     """True where refinement converged, or where its result scores higher than its start."""
-    return np.asarray(estimate.converged) | np.asarray(estimate.score > estimate.start_score)
+    return np.asarray(estimate.converged) | (np.asarray(estimate.score) > np.asarray(estimate.start_score))
 
 
 def kept_pose(estimate: YawEstimate, start: Pose) -> Pose:

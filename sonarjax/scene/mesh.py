@@ -319,11 +319,12 @@ def _padded(surface: trimesh.Trimesh, closed: bool) -> Mesh:
     vertices = np.asarray(surface.vertices, np.float32)
     faces = np.asarray(surface.faces, np.int32)
     crease = _crease_vertices(surface)
+    # `device_put` compiles nothing; `jnp.asarray` would compile a copy for every shape.
     return Mesh(
-        vertices=jnp.asarray(_pad(vertices, _bucket(len(vertices)), vertices[:1])),
-        faces=jnp.asarray(_pad(faces, _bucket(len(faces)), np.zeros((1, 3), np.int32))),
-        crease=jnp.asarray(_pad(crease, _bucket(max(len(crease), 1)), np.zeros(1, np.int32))),
-        closed=jnp.asarray(closed),
+        vertices=jax.device_put(_pad(vertices, _bucket(len(vertices)), vertices[:1])),
+        faces=jax.device_put(_pad(faces, _bucket(len(faces)), np.zeros((1, 3), np.int32))),
+        crease=jax.device_put(_pad(crease, _bucket(max(len(crease), 1)), np.zeros(1, np.int32))),
+        closed=jax.device_put(np.bool_(closed)),
         **_measured(vertices, faces, closed),
     )
 
@@ -332,8 +333,8 @@ def _measured(vertices: np.ndarray, faces: np.ndarray, closed: bool) -> dict[str
     """What the renderer must know in advance: the extent of the surface, and how many triangles slices can meet."""
     used = vertices[_mentioned(faces, len(vertices))]
     return {
-        "radius": jnp.float32(_round_up(float(np.hypot(used[:, 0], used[:, 1]).max()))),
-        "top": jnp.float32(_round_up(float(used[:, 2].max()))),
+        "radius": jax.device_put(np.float32(_round_up(float(np.hypot(used[:, 0], used[:, 1]).max())))),
+        "top": jax.device_put(np.float32(_round_up(float(used[:, 2].max())))),
         "crossings": _rounded(most_crossings(vertices, faces, closed), len(faces)),
         "front": _rounded(most_front(vertices, faces) if closed else len(faces), len(faces)),
         "intersecting": len(faces) > CHECKED_FACES or has_crossing_triangles(vertices, faces),

@@ -90,7 +90,7 @@ PRESETS: dict[str, Device] = {
 
 def azimuth_from_deg(degrees: Any) -> Float[Array, "beam"]:
     """Beam centres (beam,) [rad] as float32 from degrees; converted in float64."""
-    return jnp.asarray(np.radians(np.asarray(degrees, np.float64)), jnp.float32)
+    return jax.device_put(np.radians(np.asarray(degrees, np.float64)).astype(np.float32))
 
 
 def preset_fields(name: str, overrides: Mapping[str, Any], known: Sequence[str]) -> dict[str, Any]:
