@@ -393,7 +393,7 @@ def _widened(config: RefineConfig, yaw_bins: int) -> RefineConfig:
 
 def _result(look: Look, refined: Sequence[RefinedStart]) -> _Result:
     """A look's refined starts, best first, as hypotheses, with the evidence for the best; its score is set later."""
-    best, curves = refined[0], curve_evidence(*look)
+    best, curves = refined[0], curve_evidence(look.in_map, look.in_frame)
     curvature, left_over = (
         np.stack([np.asarray(value) for value in values])
         for values in zip(*((one.estimate.yaw_std, one.evidence.left_over) for one in refined), strict=True)
