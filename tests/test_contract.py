@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 import sonarjax as sj
-from sonarjax.match import correlation_maps, decide, match_together, peaks
+from sonarjax.match import correlation_maps, decide, peaks
 from sonarjax.render import Window, render_window, semantic_image
 from sonarjax.sensor import SensorModel, received_energy
 
@@ -115,10 +115,6 @@ CASES: dict[str, Callable[[], tuple[Callable[[Any], Any], Any]]] = {
     "match_bank, masked": lambda: (
         lambda image: sj.match_bank(image, templates(), jnp.arange(24) + jnp.zeros((96, 1), int) > 3),
         images(),
-    ),
-    "match_together": lambda: (
-        lambda pair: match_together(pair, templates()),
-        jnp.stack([images(), images()[::-1]], axis=1),
     ),
     "correlation_maps": lambda: (lambda image: correlation_maps(image, templates()), images()),
     "match_bank, banks": lambda: (

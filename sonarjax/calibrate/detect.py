@@ -60,7 +60,7 @@ def _detect(
 ) -> Detection:
     in_map = locate(banks, frame.seen, frame.mask)
     in_frame = None if segmenter.name == "none" else locate(banks, frame.image, frame.mask)
-    starts = make_starts(in_map, in_frame, None, frame.seen, frame.image, banks.config.hypotheses)
+    starts = make_starts(in_map, in_frame, frame.seen, frame.image, banks.config.hypotheses)
     how = MAP_REFINEMENT, lambda _: window, engine
     best = refine_starts(starts, frame.image, frame.seen, frame.mask, *how)[0]
     evidence = {name: float(value) for name, value in vars(best.evidence).items()} | curve_evidence(in_map, in_frame)

@@ -15,7 +15,6 @@ from sonarjax.match.ncc import (
     correlation_maps,
     match_bank,
     match_positions,
-    match_together,
     prepare_bank,
 )
 from sonarjax.match.search import Match, SearchConfig, TargetSearch
@@ -44,7 +43,6 @@ __all__ = [
     "match_bank",
     "match_low_rank",
     "match_positions",
-    "match_together",
     "peaks",
     "prepare_bank",
     "scores_at",

@@ -99,7 +99,7 @@ def match_bank(
     Raises:
         SonarjaxError: Shapes do not fit.
     """
-    return _match(_alone(image), bank, mask, template_mask, min_valid, _best_score)
+    return _match(image, bank, mask, template_mask, min_valid, _best_score)
 
 
 def match_positions(
@@ -129,37 +129,7 @@ def match_positions(
     Raises:
         SonarjaxError: Shapes do not fit.
     """
-    return _match(_alone(image), bank, mask, template_mask, min_valid, best_position, whole)
-
-
-def match_together(
-    pictures: Float[AnyArray, "picture range beam"],
-    bank: Any,
-    mask: Bool[AnyArray, "range beam"] | None = None,
-    *,
-    min_valid: float = MIN_VALID,
-    whole: bool = False,
-) -> MatchPositions:
-    """Match templates with several pictures of one scene at once, such as a frame and its semantic map.
-
-    What counts at each position is the mean of the correlations (eq. 4) with all pictures.
-
-    Args:
-        pictures: The pictures (picture, range, beam), finite where measured.
-        bank: As in `match_bank`.
-        mask: True where a pixel was measured (range, beam); None means everywhere.
-        min_valid, whole: As in `match_positions`.
-
-    Returns:
-        Best mean of each template (yaw,), and the row (yaw,) and column (yaw,) of its window's top-left corner.
-
-    Raises:
-        SonarjaxError: Shapes do not fit.
-    """
-    pictures = jnp.asarray(pictures, jnp.float32)
-    if pictures.ndim != 3 or len(pictures) == 0:
-        raise SonarjaxError(f"pictures: expected shape (picture, range, beam) with a picture, got {pictures.shape}")
-    return _match(pictures, bank, mask, None, min_valid, best_position, whole)
+    return _match(image, bank, mask, template_mask, min_valid, best_position, whole)
 
 
 def correlation_maps(
@@ -185,16 +155,11 @@ def correlation_maps(
     Raises:
         SonarjaxError: Shapes do not fit.
     """
-    return _match(_alone(image), bank, mask, template_mask, min_valid, _whole_map)
-
-
-def _alone(image: Any) -> Array:
-    """A single image (range, beam) as the only one of several (picture, range, beam)."""
-    return jnp.asarray(image, jnp.float32)[None]
+    return _match(image, bank, mask, template_mask, min_valid, _whole_map)
 
 
 def _match(
-    pictures: Array,
+    image: Any,
     bank: Any,
     mask: Any,
     template_mask: Any,
@@ -202,19 +167,19 @@ def _match(
     reduce: Callable[..., Any],
     whole: bool = False,
 ) -> Any:
-    """Match pictures (picture, range, beam) of one scene, of which the mean correlation counts."""
-    templates, shape = _templates(bank), tuple(pictures.shape[1:])
+    image, templates = jnp.asarray(image, jnp.float32), _templates(bank)
+    shape = tuple(image.shape)
     check_shapes(templates.shape, shape)
     if template_mask is not None:
         template_mask = _as_mask("template_mask", template_mask, tuple(templates.shape))
         valid = jnp.ones(shape, bool) if mask is None else _as_mask("mask", mask, shape)
-        return _match_weighted(pictures[0], templates, valid, template_mask, min_valid, reduce)
+        return _match_weighted(image, templates, valid, template_mask, min_valid, reduce)
     spectra = getattr(bank, "spectra", None)
     if spectra is None or spectra.image_shape != shape or (mask is not None and spectra.squares is None):
         spectra = _spectra(templates, shape, mask is not None)
     if mask is None:
-        return _match_plain(pictures, spectra, reduce)
-    return _match_masked(pictures, spectra, _as_mask("mask", mask, shape), min_valid, reduce, whole)
+        return _match_plain(image, spectra, reduce)
+    return _match_masked(image, spectra, _as_mask("mask", mask, shape), min_valid, reduce, whole)
 
 
 def _templates(bank: Any) -> Array:
@@ -234,30 +199,27 @@ def _spectra(templates: Array, image_shape: tuple[int, int], masked: bool) -> Te
 
 
 @partial(jax.jit, static_argnums=2)
-def _match_plain(pictures: Array, spectra: TemplateSpectra, reduce: Callable[..., Any]) -> Any:
-    def seen(image: Array) -> tuple[Array, Array]:
-        centred = centred_frame(image)
-        energy = window_moments(centred, spectra.template_shape).energy
-        scale = inverse_root(energy, NEAR_CONSTANT * jnp.sum(jnp.square(centred)))
-        scale = jax.lax.optimization_barrier(scale)  # keeps XLA from fusing it into the loop, anew for each chunk
-        return frame_spectrum(centred), scale
-
-    frames = [seen(image) for image in pictures]
+def _match_plain(image: Array, spectra: TemplateSpectra, reduce: Callable[..., Any]) -> Any:
+    centred = centred_frame(image)
+    energy = window_moments(centred, spectra.template_shape).energy
+    scale = inverse_root(energy, NEAR_CONSTANT * jnp.sum(jnp.square(centred)))
+    scale = jax.lax.optimization_barrier(scale)  # keeps XLA from fusing it into the loop, anew for each chunk
+    frame = frame_spectrum(centred)
 
     def chunk(planes: Array) -> Any:
-        return reduce(_mean([correlate(frame, planes, spectra.map_shape) * scale for frame, scale in frames]))
+        return reduce(correlate(frame, planes, spectra.map_shape) * scale)
 
     return per_template(over_chunks(chunk, spectra.planes), spectra.yaw_count)
 
 
 @partial(jax.jit, static_argnums=(4, 5))
 def _match_masked(
-    pictures: Array, spectra: TemplateSpectra, mask: Array, min_valid: Any, reduce: Callable, whole: bool
+    image: Array, spectra: TemplateSpectra, mask: Array, min_valid: Any, reduce: Callable, whole: bool
 ) -> Any:
-    frames = [masked_frame(image, mask, spectra.template_shape, min_valid) for image in pictures]
+    frame = masked_frame(image, mask, spectra.template_shape, min_valid)
 
     def chunk(planes: tuple[Array, Array, Array]) -> Any:
-        return reduce(_mean([masked_maps(frame, *planes, whole) for frame in frames]))
+        return reduce(masked_maps(frame, *planes, whole))
 
     return per_template(over_chunks(chunk, (spectra.planes, spectra.squares, spectra.echoes)), spectra.yaw_count)
 
@@ -280,11 +242,6 @@ def _match_weighted(
         return reduce(weighted_maps(frame, *parts, map_shape, min_valid))
 
     return per_template(over_chunks(chunk, (planes, squares, weights, pixels)), templates.shape[0])
-
-
-def _mean(maps: list[Array]) -> Array:
-    """The mean of maps; a single one stays as it is."""
-    return maps[0] if len(maps) == 1 else sum(maps[1:], maps[0]) / len(maps)
 
 
 def per_template(chunks: Any, yaw_count: int) -> Any:

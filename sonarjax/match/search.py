@@ -17,7 +17,7 @@ import numpy as np
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.match.compact import CompactBank, match_compact
-from sonarjax.match.ncc import PreparedBank, match_positions, match_together, prepare_bank
+from sonarjax.match.ncc import PreparedBank, match_positions, prepare_bank
 from sonarjax.render import (
     RenderQuality,
     TemplateBank,
@@ -131,8 +131,7 @@ class TargetSearch:
         """Find the best match over all distances: a coarse search, then banks near its best.
 
         Args:
-            image: Frame or semantic map (range, beam), or several pictures of one frame (picture, range, beam). Then
-                the mean of their correlations counts.
+            image: Frame or semantic map (range, beam).
             mask: True for the pixels that count (range, beam); None for all.
 
         Returns:
@@ -156,8 +155,7 @@ class TargetSearch:
         Args:
             index: Number of the distance, in `distances`. If the target is out of view there, the nearest distance at
                 which it is in view is taken instead.
-            image: Frame or semantic map (range, beam), or several pictures of one frame (picture, range, beam). Then
-                the mean of their correlations counts.
+            image: Frame or semantic map (range, beam).
             mask: True for the pixels that count (range, beam); None for all.
 
         Returns:
@@ -246,11 +244,10 @@ class TargetSearch:
         """The best place for each template of a bank in which something is in view."""
         entry = self._bank(index, coarse, mask is not None)
         assert entry is not None
-        if isinstance(entry.prepared, CompactBank) and mask is None and image.ndim == 2:
+        if isinstance(entry.prepared, CompactBank) and mask is None:
             found = match_compact(image, entry.prepared)
         else:
-            match = match_positions if image.ndim == 2 else match_together
-            found = match(image, entry.prepared, mask, min_valid=MIN_VALID, whole=True)
+            found = match_positions(image, entry.prepared, mask, min_valid=MIN_VALID, whole=True)
         scores, row, column = jax.device_get((found.scores, found.row, found.col))
         best = int(scores.argmax())
         top, left = (int(v) for v in np.asarray(entry.bank.offset))

@@ -34,14 +34,12 @@ SAME_START = math.radians(5.0)
 
 
 class Look(NamedTuple):
-    """A target's best match on the map, and on the frame itself and on both together where that is asked for."""
+    """A target's best match on the map, and on the frame itself where that is asked for."""
 
     in_map: Candidate
     """On the map."""
     in_frame: Candidate | None = None
     """On the frame."""
-    in_both: Candidate | None = None
-    """On map and frame together: where the mean of both correlations is largest."""
 
     @property
     def name(self) -> str:
@@ -55,8 +53,7 @@ def look_closely(
 ) -> list[Look]:  # fmt: skip
     """Match the candidate targets with the map of a frame, and optionally with the frame itself.
 
-    Where a segmenter fails, the match on the frame may still be right. Where each of both is led astray by something
-    else, such as noise or a wall, they may still be right together; this is tried for a single target.
+    Where a segmenter fails, the match on the frame may still be right.
 
     Args:
         targets: The search of each target, by name.
@@ -80,11 +77,7 @@ def look_closely(
         near = [{name: sightings[name].distance_index for name in names} for sightings in found]
 
     def look(name: str) -> Look:
-        search = targets[name]
-        matches = [locate(search, picture, mask, at[name]) for picture, at in zip(pictures, near, strict=True)]
-        if len(pictures) > 1 and first_look is None:
-            matches.append(locate(search, np.stack(pictures), mask))
-        return Look(*matches)
+        return Look(*(locate(targets[name], p, mask, at[name]) for p, at in zip(pictures, near, strict=True)))
 
     return sorted(engine.map(look, names), key=lambda one: -one.in_map.score)
 
@@ -143,10 +136,7 @@ def quick_evidence(
     for k, evidence in engine.map(refined, starts):
         if k not in best or evidence["frame_fit"] > best[k]["frame_fit"]:
             best[k] = evidence
-    return [
-        best[k] | curve_evidence(look.in_map, look.in_frame) | {"score_bank": look.in_map.score}
-        for k, look in enumerate(looks)
-    ]
+    return [best[k] | curve_evidence(*look) | {"score_bank": look.in_map.score} for k, look in enumerate(looks)]
 
 
 def compared(looks: Sequence[Look], evidence: Sequence[Mapping[str, float]]) -> list[tuple[Look, float]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import compress
@@ -13,7 +14,7 @@ from sonarjax.engine import Engine
 from sonarjax.refine.config import RefineConfig
 from sonarjax.refine.evidence import Evidence
 from sonarjax.refine.pose import Drawn
-from sonarjax.refine.starts import Start, evidence_of, is_kept, kept_pose, on_frame, same_pose
+from sonarjax.refine.starts import Start, evidence_of, is_kept, kept_pose, on_frame
 from sonarjax.refine.yaw import YawEstimate, refine_and_draw
 from sonarjax.render import WindowSize
 from sonarjax.scene import Pose
@@ -29,6 +30,8 @@ MAP_SHARE = 1 / 3
 """Weight of the map in `RefinedStart.fit`; the frame has the rest [1].
 
 On the frame alone, the template may fit a tank's wall better than the target (experiments/fit_start_choice.py)."""
+SAME_POSE = math.radians(5.0), 0.02
+"""Poses that differ by less than this in yaw [rad] and in place [m] after the brief refinement count as one."""
 
 
 class RefinedStart(NamedTuple):
@@ -108,7 +111,7 @@ def different(found: Sequence[RefinedStart]) -> list[RefinedStart]:
     """The refined starts, without those whose pose is the same as an earlier one's (see `SAME_POSE`)."""
     kept: list[RefinedStart] = []
     for one in found:
-        if not any(same_pose(one.pose, other.pose) for other in kept):
+        if not any(_same(one.pose, other.pose) for other in kept):
             kept.append(one)
     return kept
 
@@ -120,3 +123,9 @@ def _at_most(config: RefineConfig, iterations: int) -> RefineConfig:
 def _counts(found: RefinedStart) -> bool:
     """False for an expected pose that refinement does not confirm: it is not what the frame shows."""
     return found.start.pose is None or bool(is_kept(found.estimate))
+
+
+def _same(one: Pose, other: Pose) -> bool:
+    turned = abs(math.remainder(float(one.yaw) - float(other.yaw), 2 * math.pi))
+    moved = math.hypot(float(one.x) - float(other.x), float(one.y) - float(other.y))
+    return turned < SAME_POSE[0] and moved < SAME_POSE[1]

@@ -32,8 +32,6 @@ FRAME_ITERATION_FACTOR = 3
 """Largest number of renders at each of these blurs, relative to the refinement on the map [1].
 
 In a speckled frame it takes more steps to settle: experiments/fit_refinement.py compares numbers of iterations."""
-SAME_POSE = math.radians(5.0), 0.02
-"""Poses that differ by less than this in yaw [rad] and in place [m] count as one."""
 BESIDE = math.radians(10.0)
 """How far from the best yaw a score is compared with the highest [rad]."""
 
@@ -118,15 +116,13 @@ def locate(search: TargetSearch, picture: np.ndarray, mask: np.ndarray | None, n
 
 
 def make_starts(
-    in_map: Candidate, in_frame: Candidate | None, in_both: Candidate | None, seen: np.ndarray, image: np.ndarray,
-    count: int,
-) -> list[Start]:  # fmt: skip
-    """List the starts for refinement: the best yaws in the map, the best in the frame, and the best in both together.
+    in_map: Candidate, in_frame: Candidate | None, seen: np.ndarray, image: np.ndarray, count: int
+) -> list[Start]:
+    """List the starts for refinement: the best yaws in the map, then the best yaw in the frame.
 
     Args:
         in_map: The match in the map.
         in_frame: The match in the frame; None if there is none.
-        in_both: The match in both together; None if there is none. It is left out where it is the same as another.
         seen: The map (range, beam).
         image: The frame (range, beam).
         count: Largest number of starts from the map; each is a peak of its scores over yaw.
@@ -137,10 +133,6 @@ def make_starts(
     starts = [Start(in_map, k, seen) for k in peak_bins(in_map.match.scores, in_map.yaws, count)]
     if in_frame is not None:
         starts.append(Start(in_frame, int(in_frame.match.scores.argmax()), image))
-    if in_both is not None:
-        start = Start(in_both, int(in_both.match.scores.argmax()), image)
-        if not any(same_pose(start.begin, one.begin) for one in starts):
-            starts.append(start)
     return starts
 
 
@@ -207,13 +199,6 @@ def _drop(scores: np.ndarray) -> float:
     best, bins = int(scores.argmax()), BESIDE * len(scores) / (2 * math.pi)
     beside = np.interp([best - bins, best + bins], np.arange(len(scores)), scores, period=len(scores))
     return float(scores[best] - beside.mean())
-
-
-def same_pose(one: Pose, other: Pose) -> bool:
-    """True where two poses on the floor differ by less than `SAME_POSE`."""
-    turned = abs(math.remainder(float(one.yaw) - float(other.yaw), 2 * math.pi))
-    moved = math.hypot(float(one.x) - float(other.x), float(one.y) - float(other.y))
-    return turned < SAME_POSE[0] and moved < SAME_POSE[1]
 
 
 def is_kept(estimate: YawEstimate) -> Any:

@@ -13,14 +13,7 @@ from jax import Array
 from skimage.feature import match_template
 
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.match import (
-    correlation_maps,
-    match_bank,
-    match_positions,
-    match_together,
-    prepare_bank,
-    template_spectra,
-)
+from sonarjax.match import correlation_maps, match_bank, match_positions, prepare_bank, template_spectra
 from sonarjax.match.spectra import check_shapes
 from sonarjax.match.windows import window_moments
 
@@ -204,33 +197,3 @@ def test_equals_scikit_image_on_a_real_frame(real_frame: tuple[np.ndarray, np.nd
     varies = window_deviation(image, (height, width)) > 0.01 * image.std()
     maps = np.asarray(correlation_maps(image, templates))
     np.testing.assert_allclose(maps[:, varies], references(image, templates)[:, varies], atol=TOLERANCE)
-
-
-@pytest.mark.parametrize("masked", [False, True])
-def test_several_pictures_count_by_the_mean_of_their_maps(masked: bool) -> None:
-    rng = np.random.default_rng(5)
-    pictures = rng.random((2, 40, 30), np.float32)
-    templates = rng.random((3, 9, 7), np.float32)
-    mask = rng.random((40, 30)) > 0.1 if masked else None
-    maps = np.mean([correlation_maps(picture, templates, mask) for picture in pictures], axis=0)
-    found = match_together(pictures, templates, mask)
-    np.testing.assert_allclose(found.scores, maps.max(axis=(1, 2)), atol=1e-6)
-    for score, row, col, one in zip(found.scores, found.row, found.col, maps, strict=True):
-        assert one[row, col] == pytest.approx(float(score), abs=1e-6)
-
-
-def test_what_each_picture_hides_is_found_in_both_together() -> None:
-    """In each picture something else fits better than the target, at another place; only the target is in both."""
-    rng = np.random.default_rng(7)
-    template, noises = rng.random((8, 8), np.float32), rng.random((2, 8, 8), np.float32)
-    pictures = 0.02 * rng.random((2, 40, 40), np.float32)
-    pictures[:, 20:28, 20:28] = template + 0.8 * noises
-    pictures[0, 2:10, 2:10] = pictures[1, 30:38, 2:10] = template
-    corners = [(int(m.row[0]), int(m.col[0])) for m in (match_positions(p, template[None]) for p in pictures)]
-    together = match_together(pictures, template[None])
-    assert corners == [(2, 2), (30, 2)] and (int(together.row[0]), int(together.col[0])) == (20, 20)
-
-
-def test_no_pictures_are_one_clear_error() -> None:
-    with pytest.raises(SonarjaxError, match="pictures: expected shape"):
-        match_together(np.zeros((0, 20, 20), np.float32), np.zeros((1, 4, 4), np.float32))
