@@ -12,7 +12,13 @@ Conventions, everywhere in the package:
   and pitch default to 0. A mesh keeps its own z: it is never dropped onto the floor.
 - Metres and radians inside; degrees only at the command line and in files whose key says `_deg`.
 - Random functions take a keyword-only `key`.
+
+Pictures of frames and results are in `sonarjax.plot`, speed on a CPU is in `sonarjax.cpu`; both are imported when they
+are first used.
 """
+
+from importlib import import_module
+from typing import TYPE_CHECKING
 
 from sonarjax.calibrate import Calibration, calibrate
 from sonarjax.engine import Engine
@@ -46,7 +52,21 @@ from sonarjax.shape import SizeEstimate, SurfaceConfig, SurfaceEstimate, fit_siz
 from sonarjax.sonar import FloorPatch, Sonar
 from sonarjax.track import Standing, Track, TrackConfig, Tracker, Turning, track
 
-__version__ = "0.1.0"
+if TYPE_CHECKING:
+    from sonarjax import cpu as cpu
+    from sonarjax import plot as plot
+else:
+
+    def __getattr__(name: str) -> object:
+        """Import `plot` and `cpu` on first use: matplotlib takes a while, and not everybody draws."""
+        if name == "plot":
+            return import_module("sonarjax.plot")
+        if name == "cpu":
+            return import_module("sonarjax.cpu")
+        raise AttributeError(f"module 'sonarjax' has no attribute {name!r}")
+
+
+__version__ = "0.2.0.dev0"
 
 __all__ = [
     "Calibration", "Engine", "FloorPatch", "GeneratorWeights", "LeanSearchConfig", "Mesh", "Pose", "PoseEstimate",

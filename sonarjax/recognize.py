@@ -13,6 +13,7 @@ import numpy as np
 from sonarjax.calibrate import stated_std, yaw_std_of_geometry
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.given import check_kind, is_number, listed, shown
 from sonarjax.match import FirstLook, SearchConfig, TargetSearch
 from sonarjax.recognition import Hypothesis, Recognition
 from sonarjax.refine import (
@@ -89,9 +90,10 @@ class Recognizer:
             engine: Runs compiled functions: `sonarjax.cpu.CpuEngine()` on a CPU.
 
         Raises:
-            SonarjaxError: There is no target, the segmenter is unknown, no distance is in view or too many are, or a
-                mesh is larger than the sonar's maximum range.
+            SonarjaxError: There is no target, an argument is of another kind, the segmenter is unknown, no distance is
+                in view or too many are, or a mesh is larger than the sonar's maximum range.
         """
+        check_kind(sonar, Sonar, "sonar")
         if refine is not None and not isinstance(refine, RefineConfig):
             raise SonarjaxError(f"refine: expected a RefineConfig, or None for no refinement, got {refine!r}")
         named = _named(targets)
@@ -119,7 +121,7 @@ class Recognizer:
         """Find which target is in a frame, and its yaw: segment, match (eq. 4–5), refine.
 
         Args:
-            image: Grey frame (range, beam).
+            image: Grey frame (range, beam) in [0, 1].
             mask: True (range, beam) where a pixel was measured; None means everywhere.
             semantic: A map of your own (range, beam) instead of the segmenter's: shadow 0, background 0.5, highlight 1.
                 It needs a `threshold`.
@@ -131,8 +133,10 @@ class Recognizer:
             What was found: the best target, its score and its yaw [rad].
 
         Raises:
-            SonarjaxError: A shape does not fit the sonar, a value is not finite, or a threshold is needed.
+            SonarjaxError: A shape does not fit the sonar, a measured value is far outside [0, 1], nothing was measured,
+                a threshold is needed or no number, or a start is no pose.
         """
+        starts = listed(starts, Pose, "starts")
         image, mask = checked_image(image, mask, self.sonar)
         given = None if semantic is None else checked_image(semantic, mask, self.sonar, "semantic")[0]
         least = self._threshold(threshold, given is not None)
@@ -223,6 +227,8 @@ class Recognizer:
     def _threshold(self, threshold: float | None, given: bool) -> float:
         rule = self.segmenter.rule if self.refine is not None else None
         own = None if given else self.segmenter.threshold if rule is None else rule.threshold
+        if threshold is not None and not is_number(threshold):
+            raise SonarjaxError(f"threshold: expected a number, got {shown(threshold)}")
         if threshold is None and own is None:
             what = "a `semantic` map" if given else f"the segmenter {self.segmenter.name}"
             raise SonarjaxError(f"threshold: expected a number, because {what} has no threshold of its own")
@@ -374,12 +380,13 @@ def refine_on_frame(
 
 
 def _named(targets: Mesh | Sequence[Mesh] | Mapping[str, Mesh]) -> dict[str, Mesh]:
-    if isinstance(targets, Mesh):
-        return {"target": targets}
     if isinstance(targets, Mapping):
         named = dict(targets)
+        for name, mesh in named.items():
+            check_kind(mesh, Mesh, f"targets[{name!r}]")
     else:
-        named = {"target" if len(targets) == 1 else str(k): mesh for k, mesh in enumerate(targets)}
+        meshes = listed(targets, Mesh, "targets")
+        named = {"target" if len(meshes) == 1 else str(k): mesh for k, mesh in enumerate(meshes)}
     if not named:
         raise SonarjaxError("targets: expected at least one mesh")
     return named
@@ -393,7 +400,7 @@ def _widened(config: RefineConfig, yaw_bins: int) -> RefineConfig:
 
 def _result(look: Look, refined: Sequence[RefinedStart]) -> _Result:
     """A look's refined starts, best first, as hypotheses, with the evidence for the best; its score is set later."""
-    best, curves = refined[0], curve_evidence(look.in_map, look.in_frame)
+    best, curves = refined[0], curve_evidence(*look)
     curvature, left_over = (
         np.stack([np.asarray(value) for value in values])
         for values in zip(*((one.estimate.yaw_std, one.evidence.left_over) for one in refined), strict=True)

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import subprocess
+import sys
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -111,3 +114,28 @@ def test_configs_are_frozen_and_hashable(name: str) -> None:
     assert hash(config) == hash(dataclasses.replace(config))
     with pytest.raises(dataclasses.FrozenInstanceError):
         config.anything = 1
+
+
+ON_FIRST_USE = """
+import sys
+import sonarjax
+assert not {"sonarjax.plot", "sonarjax.cpu", "matplotlib"} & set(sys.modules), "imported with the package"
+assert sonarjax.plot is sys.modules["sonarjax.plot"] and sonarjax.cpu is sys.modules["sonarjax.cpu"]
+from sonarjax import cluster, plot
+assert not hasattr(sonarjax, "plots")
+print("as it should be")
+"""
+
+
+def test_plot_and_cpu_are_imported_on_first_use() -> None:
+    command = [sys.executable, "-W", "ignore::DeprecationWarning", "-c", ON_FIRST_USE]
+    project = Path(__file__).resolve().parent.parent
+    done = subprocess.run(command, cwd=project, capture_output=True, text=True, timeout=120, check=False)
+    assert done.stdout == "as it should be\n", done.stderr
+
+
+def test_default_motion_is_the_one_that_the_page_names() -> None:
+    for function in (sj.track, sj.Tracker):
+        assert inspect.signature(function).parameters["motion"].default == sj.Standing()
+    page = (Path(__file__).resolve().parent.parent / "docs" / "track.md").read_text(encoding="utf-8")
+    assert "`sj.track` and `sj.Tracker` take `Standing()`, while the command takes\n`Turning()`" in page

@@ -8,6 +8,9 @@ from pathlib import Path
 import pytest
 
 from paper_figs import readme
+from sonarjax.data import import_pairs
+from sonarjax.data.folder import STORED
+from sonarjax.segment import SEGMENTERS, load_segmenter
 
 PROJECT = Path(__file__).resolve().parents[1]
 PAGES = [PROJECT / "README.md", *sorted((PROJECT / "docs").glob("*.md"))]
@@ -57,6 +60,11 @@ def typed_numbers(text: str) -> set[str]:
     return set(MEASURED.findall(CODE.sub("", BLOCKS.sub("", text))))
 
 
+# Defaults and devices, in tables that tests/sonar/test_page.py holds to the code.
+SONAR_TABLES = re.findall(r"^\|.+\|$", (PROJECT / "docs" / "sonar.md").read_text(encoding="utf-8"), re.MULTILINE)
+SETTINGS["sonar.md"] = typed_numbers("\n".join(SONAR_TABLES))
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_no_measured_number_is_typed_by_hand(page: Path) -> None:
     assert typed_numbers(page.read_text(encoding="utf-8")) - SETTINGS.get(page.name, set()) == set()
@@ -87,3 +95,14 @@ def test_experiments_that_are_named_are_there(file: str) -> None:
     named = re.findall(r"python -m\s+experiments\.(\w+)", (PROJECT / file).read_text(encoding="utf-8"))
     assert named
     assert [name for name in named if not (PROJECT / "experiments" / f"{name}.py").is_file()] == []
+
+
+def test_docstrings_say_what_the_pages_rely_on() -> None:
+    named = set(re.findall(r"^    - `([\w-]+)`:", load_segmenter.__doc__ or "", re.MULTILINE))
+    assert named == set(SEGMENTERS)
+    pairs_text = " ".join((import_pairs.__doc__ or "").split())
+    first_steps = (PROJECT / "docs" / "first_steps.md").read_text(encoding="utf-8")
+    background, highlight, shadow = STORED
+    assert f"{shadow} shadow, {background} background, {highlight} highlight" in pairs_text
+    assert f"{shadow} for shadow, {background} for background and {highlight} for highlight" in first_steps
+    assert all('{"image": "a.png", "labels": "a_labels.png"}' in text for text in (pairs_text, first_steps))

@@ -149,7 +149,7 @@ def test_energy_over_a_flat_floor_follows_its_closed_form(bare: Hits) -> None:
     lost = 10 ** (-0.2 * echoes.absorption_db_m(1.8e6, 15.0) * r)
     expected = HEIGHT / r / r**2 * step * lost
     np.testing.assert_allclose((power / expected)[lit], (power / expected)[lit][0], rtol=0.01)
-    assert echoes.absorption_db_m(1.8e6, 15.0) == pytest.approx(0.84, abs=0.02)  # PHYSICS.md
+    assert echoes.absorption_db_m(1.8e6, 15.0) == pytest.approx(0.84, abs=0.02)  # Francois, Garrison 1982, A₃f²
 
 
 def local_variation(intensity: np.ndarray, lit: np.ndarray) -> float:

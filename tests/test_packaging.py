@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+import sonarjax
+
 PROJECT = Path(__file__).resolve().parent.parent
 PYPROJECT = tomllib.loads((PROJECT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 CONSTRAINTS = [
@@ -31,7 +33,17 @@ def pinned(line: str) -> str | None:
 def test_version_is_the_same_everywhere() -> None:
     version = PYPROJECT["version"]
     assert f"\nversion: {version}\n" in (PROJECT / "CITATION.cff").read_text(encoding="utf-8")
-    assert f"\n## [{version}]" in (PROJECT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert version == sonarjax.__version__
+    heading = "Unreleased" if version.endswith(".dev0") else version
+    assert f"\n## [{heading}]" in (PROJECT / "CHANGELOG.md").read_text(encoding="utf-8")
+
+
+def test_unreleased_changes_are_not_called_by_the_last_release() -> None:
+    released = re.findall(r"^## \[(\d\S*)\]", (PROJECT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
+    if PYPROJECT["version"].endswith(".dev0"):
+        assert PYPROJECT["version"].removesuffix(".dev0") not in released
+    else:
+        assert PYPROJECT["version"] == released[0]
 
 
 def test_constraints_are_versions_only() -> None:

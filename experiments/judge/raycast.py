@@ -2,7 +2,7 @@
 
 The floor's part is closed form, so rays are traced only where the object may be. Multipath is the image method: a path
 that touches the floor on both ways is as long as to the object's mirror image below the floor, and one that touches it
-on one way is the mean of the two (PHYSICS.md, multipath in a tank).
+on one way is the mean of the two (Urick, Principles of Underwater Sound, 1983, ch. 5).
 """
 
 from __future__ import annotations

@@ -25,8 +25,9 @@ LOOSE = 0.35
 def describe_calibration(found: Calibration, nominal: Sonar, frames: Sequence[str]) -> str:
     """Describe a calibration in several lines of text.
 
-    Each free number has a line, with its change and standard deviation, or a note that it is not determined. If any is
-    not, a line names the least determined combination. A line warns if the fit did not converge. Each frame has a line.
+    Each free number has a line, with its change and standard deviation, and its Cramér-Rao bound if that is larger; or
+    with a note that it is not determined. If any is not, a line names the least determined combination. A line warns if
+    the fit did not converge. Each frame has a line.
 
     Args:
         found: The calibration.
@@ -57,7 +58,9 @@ def _line(found: Calibration, nominal: Sonar, k: int) -> str:
         return f"{name}: not determined by these frames, left at its nominal value"
     value = getattr(nominal, name, None)
     total = "" if value is None else f"{scale * float(value) + change:.4g}{unit}, "
-    return f"{name}: {total}changed by {change:+.3g}{unit} ± {std:.2g}{unit}"
+    bound = scale * found.bound[name]
+    larger = f" (Cramér-Rao bound {bound:.2g}{unit}: take this larger error bar)" if bound > std else ""
+    return f"{name}: {total}changed by {change:+.3g}{unit} ± {std:.2g}{unit}{larger}"
 
 
 def compare_templates(

@@ -9,11 +9,14 @@ from functools import partial
 from typing import Any, NoReturn
 
 from sonarjax.io import complain
+from sonarjax.segment import DEFAULT_SEGMENTER, SEGMENTERS
 
 FRAME_HELP = (
     ".npz (image, mask), .npy, .png, a recording .aris/.ddf/.raw/.oculus or a ROS bag .bag/.mcap/.db3 "
     "(all frames, or FILE:N for frame N, from 0; in a bag FILE:TOPIC:N)"
 )
+PICTURES = (".png", ".pdf", ".svg")
+"""Endings of the pictures that `--png` may name: `save_figure` writes these formats."""
 EXITS = "exit codes: 0 done; 1 a frame could not be read; 2 arguments, mesh, TOML or output could not be used"
 
 
@@ -38,6 +41,15 @@ def add_mesh_options(command: argparse.ArgumentParser) -> None:
         "--mesh-tolerance", metavar="M", type=partial(limited, low=0.0, high=1.0),
         help="how far [m] the surface of a very fine mesh may move when its triangles are reduced (default: less than "
         "the sonar resolves; 0: do not reduce it)",
+    )  # fmt: skip
+
+
+def add_segmenter_option(command: argparse.ArgumentParser, what_none_does: str) -> None:
+    """Add `--segmenter`; `what_none_does` tells what the command makes of a frame that is not segmented."""
+    command.add_argument(
+        "--segmenter", metavar="NAME", default=DEFAULT_SEGMENTER,
+        help=f"{', '.join(SEGMENTERS)}; or a weights.safetensors from training; none {what_none_does} "
+        "(default: %(default)s)",
     )  # fmt: skip
 
 

@@ -6,10 +6,10 @@ import argparse
 from functools import partial
 from typing import Any
 
-from sonarjax.cli.arguments import EXITS, FRAME_HELP, add_mesh_options
-from sonarjax.cli.frames import each_frame, start_jax
+from sonarjax.cli.arguments import EXITS, FRAME_HELP, PICTURES, add_mesh_options
+from sonarjax.cli.frames import frames_for, start_jax
 from sonarjax.cli.targets import load_mesh
-from sonarjax.io import check_outputs, complain, naming, say
+from sonarjax.io import check_ending, check_outputs, complain, naming, say
 
 
 def add(commands: Any) -> None:
@@ -28,7 +28,9 @@ def add(commands: Any) -> None:
         "azimuth_scale, beam_bend or beam_skew (default: %(default)s)",
     )  # fmt: skip
     command.add_argument("--present", action="store_true", help="every frame shows the target, so use all of them")
-    command.add_argument("--png", metavar="P", help="picture of some frames, before and after the fit")
+    command.add_argument(
+        "--png", metavar="P", help="picture of some frames, before and after the fit, .png, .pdf or .svg"
+    )
     add_mesh_options(command)
 
 
@@ -39,6 +41,7 @@ def run(args: argparse.Namespace) -> int:
         SonarjaxError: The input cannot be used.
     """
     check_outputs({"--out": args.out, "--png": args.png}, (*args.frames, args.target, args.sonar))
+    check_ending("--png", args.png, PICTURES)
     start_jax()
     from sonarjax.calibrate import calibrate, check_free, compare_templates, describe_calibration
     from sonarjax.cpu import usual_engine
@@ -48,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     sonar = Sonar.from_toml(args.sonar)
     mesh = load_mesh(args.target, sonar, args)
     frames = []
-    for name, frame in each_frame(args.frames):
+    for name, frame in frames_for(sonar, args.frames, args.sonar):
         if isinstance(frame, Exception):
             complain(naming(name, frame))
             return 1

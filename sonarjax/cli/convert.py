@@ -5,8 +5,22 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
+import numpy as np
+
 from sonarjax.cli.arguments import EXITS, FRAME_HELP, count, number
-from sonarjax.io import FAN_OPTIONS, FanOptions, SonarjaxError, check_outputs, complain, convert, one_frame, say, to_bag
+from sonarjax.cli.frames import start_jax
+from sonarjax.io import (
+    FAN_OPTIONS,
+    FanOptions,
+    PolarAxes,
+    SonarjaxError,
+    check_outputs,
+    complain,
+    convert,
+    one_frame,
+    say,
+    to_bag,
+)
 
 
 def add(commands: Any) -> None:
@@ -25,6 +39,9 @@ def add(commands: Any) -> None:
         required=True,
         help="POLAR.npz, FAN.png, LOG.bag or LOG.mcap: its ending chooses the format",
     )
+    command.add_argument(
+        "--sonar", metavar="S.toml", help="the sonar on whose beams and range bins the polar frame lies, even or uneven"
+    )
     for option, (metavar, text) in FAN_OPTIONS.items():
         value = {"metavar": metavar, "type": count if metavar == "N" else number}
         command.add_argument(option, help=text, **(value if metavar else {"action": "store_true"}))
@@ -36,17 +53,30 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         SonarjaxError: The input cannot be used.
     """
-    check_outputs({"--out": args.out}, args.files)
+    check_outputs({"--out": args.out}, [*args.files, *([args.sonar] if args.sonar else [])])
     options = FanOptions(**{name: getattr(args, name) for name in FanOptions.__dataclass_fields__})
     if args.out.lower().endswith((".bag", ".mcap")):
+        if args.sonar is not None:
+            raise SonarjaxError(f"--sonar: cannot be used with the bag {args.out!r} as --out")
         say(to_bag(args.files, args.out, options))
         return 0
     if len(args.files) > 1:
         raise SonarjaxError(f"--out: {args.out!r} holds one frame: expected one FILE, got {len(args.files)}")
+    axes = None if args.sonar is None else _axes_of(args.sonar)
     try:
         frame = one_frame(args.files[0])
     except SonarjaxError as error:
         complain(str(error))
         return 1
-    say(convert(frame, args.out, options))
+    say(convert(frame, args.out, options, axes))
     return 0
+
+
+def _axes_of(toml: str) -> PolarAxes:
+    """Beams and range bins of the sonar in a file."""
+    start_jax()
+    from sonarjax.sonar import Sonar
+
+    sonar = Sonar.from_toml(toml)
+    edges = np.linspace(float(sonar.range_min), float(sonar.range_max), sonar.n_ranges + 1)
+    return PolarAxes(np.asarray(sonar.azimuth, np.float64), edges)

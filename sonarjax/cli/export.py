@@ -7,8 +7,8 @@ from typing import Any
 
 from sonarjax.cli.arguments import EXITS
 from sonarjax.cli.frames import start_jax
-from sonarjax.io import check_outputs, say
-from sonarjax.segment import DEFAULT_SEGMENTER
+from sonarjax.io import SonarjaxError, check_outputs, say
+from sonarjax.segment import DEFAULT_SEGMENTER, SEGMENTERS
 
 
 def add(commands: Any) -> None:
@@ -32,6 +32,8 @@ def run(args: argparse.Namespace) -> int:
         SonarjaxError: The input cannot be used.
     """
     check_outputs({"--onnx": args.onnx}, (args.segmenter,))
+    if args.segmenter not in SEGMENTERS and not args.segmenter.endswith(".safetensors"):
+        raise SonarjaxError(f"--segmenter: expected pix2pix or a .safetensors file, got {args.segmenter!r}")
     start_jax()
     from sonarjax.segment import export_onnx, load_segmenter
 

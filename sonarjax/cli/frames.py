@@ -7,7 +7,13 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+import numpy as np
+
+from sonarjax.io import Frame, SonarjaxError, complain, iter_records, split_spec
+
 CLUSTER_HELP = "share the work among Dask workers: a scheduler's ADDRESS, or local[:N] for N processes on this machine"
+BINS_APART = 3
+"""Range bins by which a frame's header may differ from the sonar: a header rounds its window."""
 Lazy = Any  # a type of a module that is imported inside the function: the docstring names it
 
 
@@ -17,8 +23,6 @@ def each_frame(specs: Sequence[str]) -> Iterator[tuple[str, Lazy]]:
     A progress bar is shown if stderr is a terminal.
     """
     from tqdm import tqdm
-
-    from sonarjax.io import SonarjaxError, iter_records, split_spec
 
     with tqdm(total=len(specs), unit="frame", file=sys.stderr, disable=not sys.stderr.isatty()) as bar:
         for spec in specs:
@@ -38,6 +42,51 @@ def each_frame(specs: Sequence[str]) -> Iterator[tuple[str, Lazy]]:
             except Exception as error:
                 yield spec, error
                 bar.update()
+
+
+def frames_for(sonar: Lazy, specs: Sequence[str], toml: str) -> Iterator[tuple[str, Lazy]]:
+    """As `each_frame`, for a Sonar that was read from the file `toml`.
+
+    Instead of a frame of another shape there is a SonarjaxError. A note on stderr names each file whose header
+    contradicts the sonar; its frames are used nevertheless.
+    """
+    noted = set[str]()
+    for name, frame in each_frame(specs):
+        if isinstance(frame, Exception):
+            yield name, frame
+            continue
+        if frame.shape != sonar.shape:
+            yield name, SonarjaxError(_misfit(frame, sonar, toml))
+            continue
+        path, contradiction = split_spec(frame.source).path, header_contradiction(frame, sonar)
+        if contradiction and path not in noted:
+            noted.add(path)
+            complain(f"{path}: its header contradicts {toml}, which is used: {contradiction}", kind="note: ")
+        yield name, frame
+
+
+def _misfit(frame: Frame, sonar: Lazy, toml: str) -> str:
+    """What to say of a frame that has not the shape of the sonar's frames."""
+    hint = f"; a fan picture needs `sonarjax convert FAN.png --sonar {toml} --out FRAME.npz` first"
+    return (
+        f"{frame.source}: image: expected shape {sonar.shape} (range, beam) of {toml}, got {frame.shape}"
+        f"{hint if frame.geometry is None else ''}"
+    )
+
+
+def header_contradiction(frame: Frame, sonar: Lazy) -> str:
+    """How the header of a frame contradicts the Sonar: by more than a beam or a few range bins. "" if it does not."""
+    held, found = frame.geometry or {}, []
+    own = np.degrees(np.asarray(sonar.azimuth, np.float64))
+    if len(held.get("azimuth_deg", ())) == own.size > 1:
+        apart = float(np.abs(np.asarray(held["azimuth_deg"]) - own).max())
+        if apart > (own[-1] - own[0]) / (own.size - 1):
+            found.append(f"beam angles differ by up to {apart:.2g} deg")
+    if {"range_min_m", "range_max_m"} <= set(held):
+        theirs, ours = (held["range_min_m"], held["range_max_m"]), (float(sonar.range_min), float(sonar.range_max))
+        if np.abs(np.subtract(theirs, ours)).max() > BINS_APART * float(sonar.range_bin):
+            found.append(f"range {theirs[0]:.4g} to {theirs[1]:.4g} m, not {ours[0]:.4g} to {ours[1]:.4g} m")
+    return "; ".join(found)
 
 
 def start_jax() -> None:

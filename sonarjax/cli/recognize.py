@@ -10,12 +10,11 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
 
-from sonarjax.cli.arguments import EXITS, FRAME_HELP, add_mesh_options, correlation
-from sonarjax.cli.frames import CLUSTER_HELP, Lazy, each_frame, engine_of, start_jax
+from sonarjax.cli.arguments import EXITS, FRAME_HELP, add_mesh_options, add_segmenter_option, correlation
+from sonarjax.cli.frames import CLUSTER_HELP, Lazy, engine_of, frames_for, start_jax
 from sonarjax.cli.targets import load_mesh, mesh_files
 from sonarjax.io import JsonLines, SonarjaxError, check_outputs, complain, naming
 from sonarjax.results import SCHEMA, record_of
-from sonarjax.segment import DEFAULT_SEGMENTER, SEGMENTERS
 
 
 def add(commands: Any) -> None:
@@ -30,11 +29,11 @@ def add(commands: Any) -> None:
     command.add_argument(
         "--sonar", metavar="S.toml", required=True, help="the sonar and its geometry (overrides a file's header)"
     )
-    command.add_argument("--out", metavar="R.jsonl", required=True, help="output file, one line of JSON for each frame")
     command.add_argument(
-        "--segmenter", metavar="NAME", default=DEFAULT_SEGMENTER,
-        help=f"{', '.join(SEGMENTERS)}; none matches the grey frame itself (default: %(default)s)",
+        "--out", metavar="R.jsonl", required=True,
+        help="output file, one line of JSON for each frame; appended to if it exists",
     )  # fmt: skip
+    add_segmenter_option(command, "matches the grey frame itself")
     command.add_argument("--no-refine", action="store_true", help="stop at the yaw bin, do not refine it")
     command.add_argument(
         "--threshold", metavar="T", type=correlation,
@@ -65,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
     from sonarjax.cpu import usual_engine
     from sonarjax.recognize import Recognizer
     from sonarjax.refine import MAP_REFINEMENT
-    from sonarjax.segment import check_segmenter
+    from sonarjax.segment import check_segmenter, load_segmenter
     from sonarjax.sonar import Sonar
     from sonarjax.track import Standing, Tracker, Turning
 
@@ -77,24 +76,32 @@ def run(args: argparse.Namespace) -> int:
     # A single mesh is passed without its name; results then call it `target`.
     targets = meshes if len(meshes) > 1 else next(iter(meshes.values()))
     refine, engine = None if args.no_refine else MAP_REFINEMENT, usual_engine()
+    segmenter = load_segmenter(args.segmenter)
+    _check_threshold(args, segmenter)
     try:  # before any frame is read, refuse a sonar that sees no floor or too much of it
-        recognizer = Recognizer(targets, sonar, segmenter=args.segmenter, refine=refine, engine=engine)
+        recognizer = Recognizer(targets, sonar, segmenter=segmenter, refine=refine, engine=engine)
     except SonarjaxError as error:
         raise SonarjaxError(naming(args.sonar, error)) from error
     motion = Turning() if args.motion == "turning" else Standing()
     tracker = Tracker(recognizer, motion, threshold=args.threshold) if args.track else None
+    frames = frames_for(sonar, args.frames, args.sonar)
     if args.cluster is not None:
         work = Work(secrets.token_hex(8), targets, sonar, args.segmenter, refine, args.threshold)
         with engine_of(args.cluster) as workers:
-            return _write(args.out, workers.stream(recognize_on_worker, work, each_frame(args.frames)))
+            return _write(args.out, workers.stream(recognize_on_worker, work, frames))
     if len(meshes) > 1:
         complain(f"preparing {len(meshes)} targets", kind="")
         recognizer.prepare()
-
-    frames = each_frame(args.frames)
     if tracker is not None:
         return _write(args.out, _in_order(tracker, frames))
     return _write(args.out, engine.stream(_recognize_alone, (recognizer, args.threshold), frames))
+
+
+def _check_threshold(args: argparse.Namespace, segmenter: Lazy) -> None:
+    """Raise a SonarjaxError if no threshold is given, and the segmenter, or its rule where yaw is refined, has none."""
+    own = segmenter if args.no_refine or segmenter.rule is None else segmenter.rule
+    if args.threshold is None and own.threshold is None:
+        raise SonarjaxError(f"--threshold: expected a number, because {args.segmenter} has no threshold of its own")
 
 
 def _in_order(tracker: Lazy, frames: Iterable[tuple[str, Lazy]]) -> Iterator[dict[str, Any]]:
@@ -172,7 +179,7 @@ def recognize_on_worker(work: Work, named: tuple[str, Lazy], engine: Lazy) -> di
 
     Args:
         work: What to recognize, and how.
-        named: Name and frame, as `each_frame` yields them.
+        named: Name and frame, as `frames_for` yields them.
         engine: The worker's engine.
     """
     return _recognize_alone((_own_recognizer(work, engine), work.threshold), named, engine)

@@ -7,10 +7,10 @@ import math
 from functools import partial
 from typing import Any
 
-from sonarjax.cli.arguments import EXITS, add_mesh_options, count, number
+from sonarjax.cli.arguments import EXITS, PICTURES, add_mesh_options, count, number
 from sonarjax.cli.frames import start_jax
 from sonarjax.cli.targets import load_mesh
-from sonarjax.io import check_outputs, complain
+from sonarjax.io import check_ending, check_outputs, complain
 
 MAX_SUB_BEAMS = 64
 
@@ -32,7 +32,7 @@ def add(commands: Any) -> None:
     )  # fmt: skip
     command.add_argument(
         "--png", metavar="P",
-        help="picture of polar and fan views with axes (other commands read FRAME.npz, not this)",
+        help="picture of polar and fan views with axes, .png, .pdf or .svg (other commands read FRAME.npz, not this)",
     )  # fmt: skip
     add_mesh_options(command)
     command.add_argument(
@@ -48,20 +48,24 @@ def run(args: argparse.Namespace) -> int:
         SonarjaxError: The input cannot be used.
     """
     check_outputs({"--out": args.out, "--png": args.png}, (args.mesh, args.sonar))
+    check_ending("--out", args.out, (".npz",))
+    check_ending("--png", args.png, PICTURES)
     start_jax()
-    from sonarjax.render import RenderQuality, render, write_frame
+    from sonarjax.render import RenderQuality, render, why_unseen, write_frame
     from sonarjax.scene import Pose
     from sonarjax.sonar import Sonar
 
     sonar = Sonar.from_toml(args.sonar)
     mesh = load_mesh(args.mesh, sonar, args)
     quality = RenderQuality() if args.sub_beams is None else RenderQuality(sub_beams=args.sub_beams)
-    frame = render(mesh, Pose(x=args.x, y=args.y, yaw=math.radians(args.yaw_deg)), sonar, quality=quality)
+    pose = Pose(x=args.x, y=args.y, yaw=math.radians(args.yaw_deg))
+    frame = render(mesh, pose, sonar, quality=quality)
     write_frame(args.out, frame, sonar)
     if args.png is not None:
         from sonarjax.plot import plot_frame, save_figure
 
         save_figure(plot_frame(frame, sonar), args.png)
     if not frame.labels().any():
-        complain(f"{args.mesh}: no part of it is in the sonar's view at x {args.x:g} m, y {args.y:g} m", "note: ")
+        why = why_unseen(frame, mesh, pose)
+        complain(f"{args.mesh}: not to be seen at x {args.x:g} m, y {args.y:g} m: {why}", "note: ")
     return 0

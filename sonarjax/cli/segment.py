@@ -6,7 +6,7 @@ import argparse
 import os
 from typing import Any
 
-from sonarjax.cli.arguments import EXITS, FRAME_HELP
+from sonarjax.cli.arguments import EXITS, FRAME_HELP, add_segmenter_option
 from sonarjax.cli.frames import each_frame, start_jax
 from sonarjax.io import SonarjaxError, check_label_files, complain, make_folder, naming, write_npz
 
@@ -20,6 +20,7 @@ def add(commands: Any) -> None:
         "--out-dir", metavar="DIR", required=True,
         help="output folder, created if missing: labels_<stem>.npz with `labels`, 0 background, 1 highlight, 2 shadow",
     )  # fmt: skip
+    add_segmenter_option(command, "cuts the grey frame at 1/4 and 3/4")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -34,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
     from sonarjax.cpu import usual_engine
     from sonarjax.segment import load_segmenter
 
-    segmenter, engine = load_segmenter(), usual_engine()
+    segmenter, engine = load_segmenter(args.segmenter), usual_engine()
     make_folder(args.out_dir)
     code, written = 0, dict[str, str]()
     for name, frame in each_frame(args.frames):

@@ -73,10 +73,13 @@ def export_pairs(
 def import_pairs(folder: str | os.PathLike[str]) -> Pairs:
     """Read the pairs of a folder that has a manifest.
 
-    Pictures of another size are resampled to 128 × 128 (labels to the nearest).
+    Each line of `manifest.jsonl` is a JSON object with two keys, `image` and `labels`: the names of two PNG files in
+    the folder, such as {"image": "a.png", "labels": "a_labels.png"}. Both pictures are grey and of equal shape, with
+    near ranges at the top and port on the right. A label picture has three grey values: 0 shadow, 128 background, 255
+    highlight. Other keys are ignored. Pictures of another size are resampled to 128 × 128 (labels to the nearest).
 
     Args:
-        folder: The folder, as `export_pairs` writes it.
+        folder: The folder, as `export_pairs` writes it, or made by hand.
 
     Returns:
         Images and labels (pair, 128, 128), in the order of the manifest.

@@ -10,7 +10,7 @@ from sonarjax.io.aris import parse_aris
 from sonarjax.io.aris_beams import aris_azimuth_deg
 from sonarjax.io.atomic import write_atomic, write_npz, write_png, write_text
 from sonarjax.io.console import complain, say, silence_stdout
-from sonarjax.io.convert import FAN_OPTIONS, FanOptions, convert, one_frame, to_bag
+from sonarjax.io.convert import FAN_OPTIONS, FanOptions, PolarAxes, convert, one_frame, to_bag
 from sonarjax.io.describe import describe
 from sonarjax.io.didson import DIDSON_TABLES, DidsonTables, didson_azimuth_deg, parse_didson
 from sonarjax.io.errors import SonarjaxError
@@ -24,7 +24,7 @@ from sonarjax.io.load import iter_frames, iter_records, naming, read_frames, spl
 from sonarjax.io.npy import PIXEL_LIMIT
 from sonarjax.io.oculus import parse_oculus
 from sonarjax.io.oculus_log import parse_oculus_log
-from sonarjax.io.outputs import check_label_files, check_outputs, make_folder
+from sonarjax.io.outputs import check_ending, check_label_files, check_outputs, make_folder
 from sonarjax.io.ros import bag_topics, write_bag
 from sonarjax.io.toml import parse_toml, read_toml
 
@@ -38,9 +38,11 @@ __all__ = [
     "JsonLines",
     "PIXEL_LIMIT",
     "PictureBox",
+    "PolarAxes",
     "SonarjaxError",
     "aris_azimuth_deg",
     "bag_topics",
+    "check_ending",
     "check_label_files",
     "complain",
     "check_outputs",

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 
 import numpy as np
+from jaxtyping import Float
 
 from sonarjax.io.atomic import write_npz, write_png
 from sonarjax.io.errors import SonarjaxError
@@ -54,10 +55,25 @@ class FanOptions:
                 raise SonarjaxError(f"{_option(name)}: expected a number of 1 or more, got {getattr(self, name)}")
 
 
+@dataclass(frozen=True, eq=False)
+class PolarAxes:
+    """The beams and range bins of a sonar's frames."""
+
+    azimuth: Float[np.ndarray, "beam"]
+    """Beam centres (beam,) in ascending order [rad]."""
+    range_edges: Float[np.ndarray, "range_edge"]
+    """Edges (range_edge,) of the range bins in ascending order [m]."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Shape (range, beam) of the frames."""
+        return self.range_edges.size - 1, self.azimuth.size
+
+
 FAN_OPTIONS = {
-    "--opening-deg": ("D", "full angle of the fan, to the outer edges of the outer beams [deg]"),
-    "--range-min": ("M", "range at which the fan begins [m]"),
-    "--range-max": ("M", "range at which the fan ends [m]"),
+    "--opening-deg": ("D", "full angle of the fan, to the outer edges of the outer beams [deg] (default: --sonar's)"),
+    "--range-min": ("M", "range at which the fan begins [m] (default: --sonar's)"),
+    "--range-max": ("M", "range at which the fan ends [m] (default: --sonar's)"),
     "--bins": ("N", "to polar: range bins (default: rows of the fan along its middle)"),
     "--beams": ("N", "to polar: beams (default: columns along the fan's arc at mid range)"),
     "--apex": ("ROW", "to polar: row of the picture where the sonar is (default: found from the fan's lower edge)"),
@@ -110,21 +126,24 @@ def to_bag(specs: Sequence[str], out: str, options: FanOptions = FanOptions()) -
     return f"{out}: {count} frame{'' if count == 1 else 's'}"
 
 
-def convert(frame: Frame, out: str, options: FanOptions = FanOptions()) -> str:
+def convert(frame: Frame, out: str, options: FanOptions = FanOptions(), axes: PolarAxes | None = None) -> str:
     """Convert a fan picture to a polar frame in an NPZ, or a polar frame to a fan picture in a PNG, and write it.
 
     Args:
         frame: Fan picture (row, column) if `out` ends in .npz, polar frame (range, beam) if it ends in .png.
         out: File to write; its ending says which conversion is wanted.
         options: What is known of the fan picture. A fan picture needs its opening and both ranges, and so does a polar
-            frame without geometry.
+            frame without geometry, unless `axes` are given.
+        axes: Beams and range bins of the polar frame. None divides the fan into equal beams, which are not those of a
+            sonar with uneven beams.
 
     Returns:
         One line that says what was written.
 
     Raises:
         SonarjaxError: `out` has another ending or cannot be written; an option is missing, is for the other direction,
-            repeats what the file holds or is out of range; or the picture shows no fan.
+            repeats what the file or `axes` hold or is out of range; the picture shows no fan or is a polar frame
+            already; or a polar frame does not fit the axes.
     """
     ending = os.path.splitext(out)[1].lower()
     if ending not in (".npz", ".png"):
@@ -136,31 +155,50 @@ def convert(frame: Frame, out: str, options: FanOptions = FanOptions()) -> str:
             other = "png" if ending == ".npz" else "npz"
             raise SonarjaxError(f"{_option(name)}: can only be used with a .{other} file as --out, got {out!r}")
     try:
-        return (_to_polar if ending == ".npz" else _to_fan)(frame, out, options)
+        return (_to_polar if ending == ".npz" else _to_fan)(frame, out, options, axes)
     except SonarjaxError as error:  # add the file to a message about its fan or an option
         text = str(error)
         raise SonarjaxError(f"{frame.source}: {text}" if text.startswith(("fan: ", "--")) else text) from error
 
 
-def _to_polar(picture: Frame, out: str, options: FanOptions) -> str:
-    opening_deg, near, far = _sector(options, "a fan picture")
+def _to_polar(picture: Frame, out: str, options: FanOptions, axes: PolarAxes | None) -> str:
+    if picture.geometry is not None:
+        raise SonarjaxError(f"{picture.source}: expected a fan picture to make a polar frame of, this is a polar frame")
+    opening_deg, near, far = _sector(_with_axes(options, axes), "a fan picture, unless --sonar is given")
     rows, columns = picture.shape
     box = PictureBox(0.0, float(rows), 0.0, float(columns)) if options.frame else content_box(picture.image)
     apex = float(rows) if options.whole else options.apex
     geometry = fit_fan(box, math.radians(opening_deg), near, far, apex)
-    shape = geometry.polar_shape()
-    shape = options.bins or shape[0], options.beams or shape[1]
-    image, mask = fan_to_polar(picture.image, geometry, shape)
+    if axes is None:
+        bins, beams = geometry.polar_shape()
+        bins, beams = options.bins or bins, options.beams or beams
+        axes = PolarAxes(geometry.azimuth(beams), geometry.range_edges(bins))
+    image, mask = fan_to_polar(picture.image, geometry, axes.shape, azimuth=axes.azimuth, range_edges=axes.range_edges)
     if not mask.any():
         raise SonarjaxError("fan: expected a fan that overlaps the picture, it lies outside")
-    azimuth_deg, edges = np.degrees(geometry.azimuth(shape[1])), geometry.range_edges(shape[0])
-    write_npz(out, image=image, mask=mask, azimuth_deg=azimuth_deg, range_edges_m=edges)
-    size = f"{shape[0]} range bins x {shape[1]} beams"
+    write_npz(out, image=image, mask=mask, azimuth_deg=np.degrees(axes.azimuth), range_edges_m=axes.range_edges)
+    size = f"{axes.shape[0]} range bins x {axes.shape[1]} beams"
     return f"{out}: {size}, {_told(opening_deg, near, far)}, {mask.mean():.1%} of the pixels measured"
 
 
-def _to_fan(polar: Frame, out: str, options: FanOptions) -> str:
-    azimuth, edges = _axes(polar, options)
+def _with_axes(options: FanOptions, axes: PolarAxes | None) -> FanOptions:
+    """The options, with the sector of `axes` where they name none; `axes` and options must not repeat each other."""
+    if axes is None:
+        return options
+    for name in ("beams", "bins"):
+        if _given(options, name):
+            raise SonarjaxError(f"{_option(name)}: cannot be used with --sonar, which holds this value")
+    near, far = float(axes.range_edges[0]), float(axes.range_edges[-1])
+    return replace(
+        options,
+        opening_deg=math.degrees(_opening(axes.azimuth, options)),
+        range_min=near if options.range_min is None else options.range_min,
+        range_max=far if options.range_max is None else options.range_max,
+    )
+
+
+def _to_fan(polar: Frame, out: str, options: FanOptions, axes: PolarAxes | None) -> str:
+    azimuth, edges = _axes(polar, options, axes)
     opening, near, far = _opening(azimuth, options), float(edges[0]), float(edges[-1])
     pixel = min((far - near) / polar.shape[0], (far + near) / 2 * opening / azimuth.size)
     if options.width is not None:
@@ -172,10 +210,13 @@ def _to_fan(polar: Frame, out: str, options: FanOptions) -> str:
     return f"{out}: {size}, {_told(math.degrees(opening), near, far)}, {seen.mean():.1%} of the pixels measured"
 
 
-def _axes(polar: Frame, options: FanOptions) -> tuple[np.ndarray, np.ndarray]:
-    """Beam centres [rad] and range edges [m], from the file or else from the options."""
+def _axes(polar: Frame, options: FanOptions, axes: PolarAxes | None) -> tuple[np.ndarray, np.ndarray]:
+    """Beam centres [rad] and range edges [m], from the file or else from `axes` or the options."""
     held, (bins, beams) = polar.geometry or {}, polar.shape
-    if not {"azimuth_deg", "range_min_m", "range_max_m"} <= set(held):
+    in_file = {"azimuth_deg", "range_min_m", "range_max_m"} <= set(held)
+    if axes is not None:
+        return _axes_of_sonar(polar, options, axes, in_file)
+    if not in_file:
         opening_deg, near, far = _sector(options, "a frame without azimuth_deg and range_edges_m")
         return equal_beams(math.radians(opening_deg), beams), np.linspace(near, far, bins + 1)
     for name in SECTOR:
@@ -185,12 +226,24 @@ def _axes(polar: Frame, options: FanOptions) -> tuple[np.ndarray, np.ndarray]:
     return np.radians(held["azimuth_deg"]), edges
 
 
+def _axes_of_sonar(polar: Frame, options: FanOptions, axes: PolarAxes, in_file: bool) -> tuple[np.ndarray, np.ndarray]:
+    """As `_axes`, from `axes`, unless the file has its own (`in_file`) or an option says something else."""
+    if in_file:
+        raise SonarjaxError("--sonar: cannot be used: the file itself holds beams and ranges")
+    for name in SECTOR:
+        if _given(options, name):
+            raise SonarjaxError(f"{_option(name)}: cannot be used with --sonar, which holds this value")
+    if polar.shape != axes.shape:
+        raise SonarjaxError(f"--sonar: expected a frame of shape {axes.shape} (range, beam), got {polar.shape}")
+    return axes.azimuth, axes.range_edges
+
+
 def _opening(azimuth: np.ndarray, options: FanOptions) -> float:
     """Full angle [rad] of a fan about the middle beam that holds all beams, the outer ones as wide as their spacing."""
     if options.opening_deg is not None:
         return math.radians(options.opening_deg)
     if azimuth.size == 1:
-        raise SonarjaxError("azimuth_deg: expected two beams or more")
+        raise SonarjaxError("fan: expected two beams or more, one does not tell the opening")
     outer = 1.5 * azimuth[[0, -1]] - 0.5 * azimuth[[1, -2]]
     return float(2 * np.abs(outer).max())
 

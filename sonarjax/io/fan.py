@@ -37,15 +37,19 @@ def fan_to_polar(
     geometry: FanGeometry,
     shape: tuple[int, int] | None = None,
     order: Order = 3,
+    azimuth: Real[np.ndarray, "beam"] | None = None,
+    range_edges: Real[np.ndarray, "range_edge"] | None = None,
 ) -> tuple[Shaped[np.ndarray, "range beam"], Bool[np.ndarray, "range beam"]]:
     """Turn a fan picture (row, column) into a polar image (range, beam).
 
     Args:
         picture: Fan picture (row, column).
         geometry: Where its pixels lie.
-        shape: Numbers of range bins and beams; None means `geometry.polar_shape()`. They divide the sector evenly, as
-            `geometry.range_edges` and `geometry.azimuth` say.
+        shape: Numbers of range bins and beams; None means as many as `range_edges` and `azimuth` have, or else
+            `geometry.polar_shape()`.
         order: Interpolation: 3 for a cubic spline, 1 for linear, 0 for the nearest pixel (labels).
+        azimuth: Beam centres (beam,) in ascending order [rad]; None divides the sector evenly.
+        range_edges: Edges (range_edge,) of the range bins in ascending order [m]; None divides the sector evenly.
 
     Returns:
         Image (range, beam) and mask (range, beam). The mask is true where the picture shows the cell; elsewhere the
@@ -53,13 +57,19 @@ def fan_to_polar(
         picture's type.
 
     Raises:
-        SonarjaxError: The picture or shape is empty, or there are more than `PIXEL_LIMIT` cells.
+        SonarjaxError: The picture or shape is empty, an axis does not ascend, is not finite or does not fit `shape`, or
+            there are more than `PIXEL_LIMIT` cells.
     """
-    bins, beams = _checked(geometry.polar_shape() if shape is None else shape)
+    bins, beams = _checked(_polar_shape(geometry, azimuth, range_edges) if shape is None else shape)
     _checked(picture.shape)
+    azimuth = geometry.azimuth(beams) if azimuth is None else azimuth
+    range_edges = geometry.range_edges(bins) if range_edges is None else range_edges
+    _check_axis("azimuth", azimuth, beams)
+    _check_axis("range_edges", range_edges, bins + 1)
+    edges = np.asarray(range_edges, np.float64), _beam_edges(azimuth, geometry.opening)
     inside = _inside(geometry, picture.shape)
-    parts = (1, 1) if order == 0 else _parts_of_cell(geometry, (bins, beams))
-    return _sample(picture, inside, _places_in_picture(geometry, (bins, beams), parts), (bins, beams), order)
+    parts = (1, 1) if order == 0 else _parts_of_cell(geometry, *edges)
+    return _sample(picture, inside, _places_in_picture(geometry, edges, parts), (bins, beams), order)
 
 
 def polar_to_fan(
@@ -138,18 +148,27 @@ def _filled(values: np.ndarray, measured: np.ndarray) -> np.ndarray:
     return values[tuple(nearest)]
 
 
-def _places_in_picture(geometry: FanGeometry, shape: tuple[int, int], parts: tuple[int, int]) -> Places:
+def _polar_shape(geometry: FanGeometry, azimuth: np.ndarray | None, range_edges: np.ndarray | None) -> tuple[int, int]:
+    """Numbers of range bins and beams: those of the axes, where they are given, or else the picture's own."""
+    bins, beams = geometry.polar_shape()
+    return bins if range_edges is None else range_edges.size - 1, beams if azimuth is None else azimuth.size
+
+
+def _places_in_picture(geometry: FanGeometry, edges: tuple[np.ndarray, np.ndarray], parts: tuple[int, int]) -> Places:
     """Rows and columns, from the first pixel's centre, of the first part of every polar cell, then of each
     further part.
     """
-    (bins, beams), (fine_bins, fine_beams) = shape, parts
-    edges, angles = geometry.range_edges(bins * fine_bins), geometry.azimuth(beams * fine_beams)
-    ranges = (edges[1:] + edges[:-1]) / 2
-    for i in range(fine_bins):
-        for j in range(fine_beams):
-            at_range, at_angle = np.meshgrid(ranges[i::fine_bins], angles[j::fine_beams], indexing="ij")
-            rows, columns = geometry.pixels(at_range, at_angle)
+    ranges, angles = (_middles(one, count) for one, count in zip(edges, parts, strict=True))
+    for at_ranges in ranges:
+        for at_angles in angles:
+            rows, columns = geometry.pixels(*np.meshgrid(at_ranges, at_angles, indexing="ij"))
             yield rows - 0.5, columns - 0.5
+
+
+def _middles(edges: np.ndarray, parts: int) -> Float[np.ndarray, "part cell"]:
+    """Middles (part, cell) of the equal parts of each cell between `edges`."""
+    share = (np.arange(parts)[:, None] + 0.5) / parts
+    return edges[:-1] + share * np.diff(edges)
 
 
 def _places_in_image(
@@ -188,13 +207,13 @@ def _inside(geometry: FanGeometry, shape: tuple[int, int]) -> Bool[np.ndarray, "
     return _covered(*geometry.places(*_centres(shape)), edges)
 
 
-def _parts_of_cell(geometry: FanGeometry, shape: tuple[int, int]) -> tuple[int, int]:
+def _parts_of_cell(geometry: FanGeometry, range_edges: np.ndarray, beam_edges: np.ndarray) -> tuple[int, int]:
     """How many pixels the largest polar cell covers along range and across it; interpolation covers the remainder."""
     angles = np.array([0.0, min(geometry.opening, np.pi) / 2])
     along = np.hypot(np.cos(angles) / geometry.row_m, np.sin(angles) / geometry.column_m).max()
     across = np.hypot(np.sin(angles) / geometry.row_m, np.cos(angles) / geometry.column_m).max()
-    depth = (geometry.range_max - geometry.range_min) / shape[0]
-    return _parts(depth * along), _parts(geometry.range_max * geometry.opening / shape[1] * across)
+    depth, width = float(np.diff(range_edges).max()), float(range_edges[-1]) * float(np.diff(beam_edges).max())
+    return _parts(depth * along), _parts(width * across)
 
 
 def _parts_of_pixel(geometry: FanGeometry, range_edges: np.ndarray, beam_edges: np.ndarray) -> tuple[int, int]:

@@ -35,6 +35,24 @@ def check_outputs(outputs: Mapping[str, str | None], inputs: Iterable[str]) -> N
                 raise SonarjaxError(f"{option}: {path!r} is also {other}: expected another file")
 
 
+def check_ending(option: str, path: str | None, endings: Sequence[str]) -> None:
+    """Check that the name of an output ends as files of its format do.
+
+    A device such as /dev/null may have any name.
+
+    Args:
+        option: The command-line option.
+        path: What was given for it; None if it was not given.
+        endings: The endings that the name may have, in lower case.
+
+    Raises:
+        SonarjaxError: The name ends otherwise.
+    """
+    if path is None or path.lower().endswith(tuple(endings)) or _is_device(path):
+        return
+    raise SonarjaxError(f"{option}: {path!r}: expected a name that ends in {' or '.join(endings)}")
+
+
 def make_folder(path: str) -> None:
     """Make a folder for output, with its parents, unless it is there.
 
@@ -92,6 +110,10 @@ def _stem(path: str) -> str:
 
 def _is_recording(path: str) -> bool:
     return os.path.splitext(path)[1].lower() in RECORDINGS or is_bag(path)
+
+
+def _is_device(path: str) -> bool:
+    return os.path.exists(path) and not os.path.isfile(path) and not os.path.isdir(path)
 
 
 def _identity(path: str) -> tuple[int, int] | None:

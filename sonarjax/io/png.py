@@ -26,7 +26,9 @@ def png_size(data: bytes, name: str) -> tuple[int, int]:
         SonarjaxError: The magic number or header is wrong, or there are more pixels than `PIXEL_LIMIT` or than the file
             can hold.
     """
-    if len(data) < 33 or data[:8] != PNG_MAGIC or data[12:16] != b"IHDR":
+    if data[:8] != PNG_MAGIC:
+        raise SonarjaxError(f"{name}: expected a PNG file, this is none")
+    if len(data) < 33 or data[12:16] != b"IHDR":
         raise SonarjaxError(f"{name}: expected a PNG file with its header")
     width, height, depth, colour = struct.unpack_from(">IIBB", data, 16)
     if width == 0 or height == 0:

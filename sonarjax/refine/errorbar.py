@@ -65,7 +65,7 @@ def log_drop(drop: np.ndarray | float) -> np.ndarray | np.floating:
 
 
 class PoseErrorBar(NamedTuple):
-    """The errors of a pose refined on a frame: `factor`² × the curvature's covariance, plus what the template lacks.
+    """Errors of a pose refined on a frame: `factor` squared × the curvature's covariance, plus what the template lacks.
 
     The second part is the same for every frame, and adds to the variance of each number. More frames do not reduce it.
     """

@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.exact import full_precision
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.given import check_kind, image_array, number_array
 from sonarjax.records import record, static
 from sonarjax.refine.config import SLACK_M, RefineConfig
 from sonarjax.refine.free import BOUNCES, ON_FLOOR, check_free, displacements, pose_at, trusts
@@ -128,8 +129,9 @@ def refine_pose(
         The estimate, in the batch shape of `start`.
 
     Raises:
-        SonarjaxError: The shapes do not fit the sonar, or `free` is empty or has an unknown or repeated name. For views
-            also if there is not one of `sonar_poses` for each, one of them leans, or something is traced.
+        SonarjaxError: An argument is of another kind, the shapes do not fit the sonar, or `free` is empty or has an
+            unknown or repeated name. For views also if there is not one of `sonar_poses` for each, one of them leans,
+            or something is traced.
     """
     names = check_free(free)
     if sonar_poses is not None:
@@ -144,8 +146,11 @@ def _refine_views(
     """`refine_pose` for several views."""
     if is_traced(images, mask, mesh, sonar, start, sonar_poses):
         raise SonarjaxError("sonar_poses: expected no traced values, because views are refined on the host")
-    images, sonars = np.asarray(images, np.float32), check_views(images, sonar_poses, start, sonar)
-    weights = np.ones(images.shape, np.float32) if mask is None else np.asarray(mask, np.float32)
+    _check_kinds(mesh, sonar, start)
+    check_kind(sonar_poses, Pose, "sonar_poses")
+    images = np.asarray(image_array(images, "image"), np.float32)
+    sonars = check_views(images, sonar_poses, start, sonar)
+    weights = np.asarray(np.ones(images.shape) if mask is None else number_array(mask, "mask"), np.float32)
     if weights.shape != images.shape:
         raise SonarjaxError(f"mask: expected the images' shape {images.shape}, got {weights.shape}")
     starts = jax.tree.map(lambda v: np.atleast_1d(np.asarray(v)), start)
@@ -176,12 +181,14 @@ def search_pose(
     `hold` puts back numbers that the frame does not determine. Without it this is not checked, and nothing counts as
     observable.
     """
+    _check_kinds(mesh, sonar, start)
     traced = is_traced(image, mask, mesh, sonar, start)
     array = jnp if traced else np  # NumPy slices and joins on the host without compiling anything
-    image = array.asarray(image, np.float32)
+    image = array.asarray(image if traced else image_array(image, "image"), np.float32)
     if image.ndim not in (2, 3) or image.shape[-2:] != sonar.shape:
         raise SonarjaxError(f"image: expected shape {sonar.shape} (range, beam) of the sonar, got {image.shape}")
-    weight = array.ones(image.shape, np.float32) if mask is None else array.asarray(mask, np.float32)
+    mask = array.ones(image.shape, np.float32) if mask is None else mask
+    weight = array.asarray(mask if traced else number_array(mask, "mask"), np.float32)
     if weight.shape != image.shape:
         raise SonarjaxError(f"mask: expected the image's shape {image.shape}, got {weight.shape}")
     frames, axes = image.ndim - 2, start.shape
@@ -207,6 +214,13 @@ def search_pose(
         return job(0)
     found = engine.map(lambda k: jax.tree.map(np.asarray, job(k)), range(count))
     return jax.tree.map(lambda *v: jax.device_put(np.stack(v).reshape((*axes, *v[0].shape))), *found)
+
+
+def _check_kinds(mesh: Any, sonar: Any, start: Any) -> None:
+    """Raise a SonarjaxError where one of them is something else, such as a tuple in place of a pose."""
+    check_kind(mesh, Mesh, "mesh")
+    check_kind(sonar, Sonar, "sonar")
+    check_kind(start, Pose, "start")
 
 
 def prepare_refinement(
@@ -257,7 +271,11 @@ def plan_refinement(
 
     Returns:
         Size of the window. It is the complete frame if the starts, the mesh or the sonar are traced.
+
+    Raises:
+        SonarjaxError: An argument is of another kind.
     """
+    _check_kinds(mesh, sonar, start)
     if is_traced(start, sonar, mesh):
         return WindowSize(sonar.shape, sonar.n_beams)
     bounds = [config.bound(name) if name in free else 0.0 for name in ("z", "roll", "pitch")]

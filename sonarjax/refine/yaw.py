@@ -80,7 +80,7 @@ def refine_yaw(
         The estimate, in the batch shape of `start`.
 
     Raises:
-        SonarjaxError: The shapes do not fit the sonar.
+        SonarjaxError: An argument is of another kind, or the shapes do not fit the sonar.
     """
     return refine_and_draw(image, mesh, sonar, start, mask, config, window, engine)[0]
 

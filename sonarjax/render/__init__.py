@@ -8,10 +8,12 @@ from sonarjax.render.frame import RenderQuality, SonarFrame, Window, semantic_im
 from sonarjax.render.frame_file import write_frame
 from sonarjax.render.region import WindowSize, floor_point, image_azimuth, place_window, plan_window
 from sonarjax.render.simulate import render
+from sonarjax.render.unseen import why_unseen
 from sonarjax.render.window import render_echo, render_window
 
 __all__ = [
     "RenderQuality", "SonarFrame", "TemplateBank", "Window", "WindowSize", "bank_place", "check_fits", "floor_angle",
     "floor_point", "image_azimuth", "mesh_tolerance", "place_window", "plan_window", "reduced_for", "render",
-    "render_echo", "render_window", "semantic_image", "template_bank", "write_frame",
+    "render_echo", "render_window", "semantic_image", "template_bank", "why_unseen",
+    "write_frame",
 ]  # fmt: skip

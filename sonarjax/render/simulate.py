@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.given import check_kind, listed
 from sonarjax.render.frame import RenderQuality, SonarFrame, Window
 from sonarjax.render.window import render_window
 from sonarjax.scene import Mesh, Pose
@@ -48,21 +49,23 @@ def render(
         A frame (*batch, range, beam). `*batch` is the shape of `pose`, broadcast with that of stacked meshes.
 
     Raises:
-        SonarjaxError: The numbers of meshes and poses differ, or a pose (unless traced) is not finite or absurdly far
-            away.
+        SonarjaxError: An argument is of another kind, the numbers of meshes and poses differ, or a pose (unless traced)
+            is not finite or absurdly far away.
     """
+    check_kind(sonar, Sonar, "sonar")
     mesh, pose = one_scene(mesh, pose)
     return with_enough_room(lambda roomy: _render(roomy, pose, sonar, quality), mesh)
 
 
 def one_scene(mesh: Mesh | Sequence[Mesh], pose: Pose | Sequence[Pose]) -> tuple[Mesh, Pose]:
     """Check the poses of a scene, and join its objects if there are several (`place_together`)."""
-    for one in [pose] if isinstance(pose, Pose) else pose:
+    meshes = listed(mesh, Mesh, "mesh")
+    if isinstance(mesh, Mesh):
+        check_kind(pose, Pose, "pose")
+    poses = listed(pose, Pose, "pose")
+    for one in poses:
         check_pose(one)
-    if not isinstance(mesh, Mesh):
-        return place_together(mesh, pose)
-    assert isinstance(pose, Pose)
-    return mesh, pose
+    return (meshes[0], poses[0]) if isinstance(mesh, Mesh) else place_together(meshes, poses)
 
 
 def with_enough_room(rendered: Callable[[Mesh], Any], mesh: Mesh) -> Any:

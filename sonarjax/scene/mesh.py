@@ -7,6 +7,7 @@ know about a mesh before it compiles, such as how many triangles a slice can cro
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +20,7 @@ import trimesh
 from jaxtyping import Array, Bool, Float, Int
 
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.given import is_number, number_array, shown
 from sonarjax.records import record, static
 from sonarjax.scene.limits import check_coordinates, check_face_count
 from sonarjax.scene.mesh_file import check_mesh_file, reading_problem
@@ -74,9 +76,11 @@ class Mesh:
             The mesh.
 
         Raises:
-            SonarjaxError: The file is missing, empty, too large, corrupt or not a surface; `unit_m` is not a positive
-                number; or the coordinates cannot be metres (`sonarjax.scene.limits`).
+            SonarjaxError: `path` is no path; the file is missing, empty, too large, corrupt or not a surface; `unit_m`
+                is not a positive number; or the coordinates cannot be metres (`sonarjax.scene.limits`).
         """
+        if not isinstance(path, str | os.PathLike):
+            raise SonarjaxError(f"path: expected that of a mesh file, got {shown(path)}: Mesh.from_arrays takes arrays")
         path = Path(path)
         if path.is_dir():
             raise SonarjaxError(f"{path}: is a folder, expected a mesh file")
@@ -84,8 +88,9 @@ class Mesh:
             raise SonarjaxError(f"{path}: no such mesh file")
         if path.stat().st_size == 0:
             raise SonarjaxError(f"{path}: the mesh file is empty")
-        if unit_m is not None and not 0 < unit_m < math.inf:
-            raise SonarjaxError(f"{path}: unit_m must be a positive number of metres, got {unit_m}")
+        if unit_m is not None and not (is_number(unit_m) and 0 < unit_m < math.inf):
+            expected = "a positive number of metres (0.001 for millimetres)"
+            raise SonarjaxError(f"{path}: unit_m must be {expected}, got {shown(unit_m)}")
         vertices, faces, unit = _read_surface(path)
         scale = unit_m if unit_m is not None else _UNIT_M.get(unit or "", 1.0)
         with np.errstate(over="ignore"):  # `from_arrays` refuses infinite vertices
@@ -107,11 +112,11 @@ class Mesh:
             The mesh, padded. It is closed if its triangles enclose a volume; they then all face outwards.
 
         Raises:
-            SonarjaxError: A shape is wrong, there is no triangle or more than `MAX_FACES`, every triangle has zero
-                area, a value is not finite, an index is out of range, or the extent shows that the coordinates are not
-                metres.
+            SonarjaxError: Something else than numbers is given, a shape is wrong, there is no triangle or more than
+                `MAX_FACES`, every triangle has zero area, a value is not finite, an index is out of range, or the
+                extent shows that the coordinates are not metres.
         """
-        vertices, faces = np.asarray(vertices), np.asarray(faces)
+        vertices, faces = number_array(vertices, f"{name}: vertices"), number_array(faces, f"{name}: faces")
         check_face_count(len(np.atleast_1d(faces)), name)  # before anything is copied
         vertices, faces = vertices.astype(np.float64), faces.astype(np.int64)
         _check(vertices, faces, name)

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sonarjax.exact import full_precision
+from sonarjax.io.given import number_array
 from sonarjax.records import record
 
 Scalar = Any  # a Python float, a NumPy scalar or a JAX array of any batch shape
@@ -49,10 +50,14 @@ class Pose:
         roll: Scalar = 0.0,
         pitch: Scalar = 0.0,
     ) -> None:
-        """Broadcast positions [m] and angles [rad] to one shape. Raises ValueError if their shapes do not broadcast."""
-        numbers = [v if isinstance(v, jnp.ndarray) else np.asarray(v, np.float32) for v in (x, y, yaw, z, roll, pitch)]
-        shape = jnp.broadcast_shapes(*(v.shape for v in numbers))
-        for name, value in zip(("x", "y", "yaw", "z", "roll", "pitch"), numbers, strict=True):
+        """Broadcast positions [m] and angles [rad] to one shape.
+
+        Raises ValueError if their shapes do not broadcast, and SonarjaxError for text or anything else but numbers.
+        """
+        given = {"x": x, "y": y, "yaw": yaw, "z": z, "roll": roll, "pitch": pitch}
+        numbers = {name: _as_floats(value, name) for name, value in given.items()}
+        shape = jnp.broadcast_shapes(*(v.shape for v in numbers.values()))
+        for name, value in numbers.items():
             object.__setattr__(self, name, _spread_out(value, shape))
 
     @property
@@ -80,6 +85,11 @@ class Pose:
             Rotation matrix (3, 3).
         """
         return rotation_z(self.yaw) @ rotation_y(self.pitch) @ rotation_x(self.roll)
+
+
+def _as_floats(value: Any, name: str) -> Any:
+    """A field as an array: on the host in float32, unless it is JAX's, traced or not."""
+    return value if isinstance(value, jnp.ndarray) else np.asarray(number_array(value, f"Pose: {name}"), np.float32)
 
 
 def _spread_out(value: Any, shape: tuple[int, ...]) -> Any:

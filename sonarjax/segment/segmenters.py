@@ -11,10 +11,11 @@ from jaxtyping import Bool, Float, UInt8
 
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.given import shown
 from sonarjax.io.safetensors import read_safetensors
 from sonarjax.segment.classical import CLASSICAL, THRESHOLDS, from_grey, threshold_labels, to_grey
 from sonarjax.segment.rule import RULES, IdentificationRule, read_rule
-from sonarjax.segment.tiled import TILE, segment
+from sonarjax.segment.tiled import TILE, check_frame, segment
 from sonarjax.segment.weights import GeneratorWeights, load_generator, shipped_path
 
 NETWORK = "pix2pix"
@@ -55,7 +56,11 @@ class Segmenter:
 
         Returns:
             Map (range, beam): shadow 0, background 0.5, highlight 1. Where a network is unsure, values lie between.
+
+        Raises:
+            SonarjaxError: The image is not one frame, or the mask has another shape.
         """
+        check_frame(image, mask)
         if self.weights is not None:
             return np.array(engine.run(segment, image, self.weights, mask, tile=self.tile))
         return image if self.name == "none" else to_grey(threshold_labels(image, self.name, mask))
@@ -74,7 +79,11 @@ class Segmenter:
 
         Returns:
             Labels (range, beam): 0 background, 1 highlight, 2 shadow.
+
+        Raises:
+            SonarjaxError: The image is not one frame, or the mask has another shape.
         """
+        check_frame(image, mask)
         if self.weights is None:
             return threshold_labels(image, self.name, mask)
         return from_grey(self.semantic(image, mask, engine))
@@ -83,7 +92,13 @@ class Segmenter:
 def load_segmenter(name: str | os.PathLike[str] = DEFAULT_SEGMENTER) -> Segmenter:
     """Load a segmenter by its name, or from a weights file that training wrote.
 
-    `help(sonarjax.segment)` says what each name stands for.
+    - `pix2pix`: the shipped network. It looks at tiles of the frame, then more closely at each object.
+    - `otsu`: Otsu's two thresholds (1979) on the frame's 3 × 3 median: highlight above the upper one, shadow at or
+      below the lower one, background between.
+    - `otsu3`: the same on the frame without a median; named for its three classes.
+    - `median-otsu`: the same on the frame's 5 × 5 median.
+    - `otsu1`: Otsu's single threshold on the frame without a median: highlight above it, no shadow.
+    - `none`: no segmentation. The map is the grey frame itself; for labels it is cut at 1/4 and 3/4.
 
     Args:
         name: One of `SEGMENTERS`, or the path of a weights file (*.safetensors).
@@ -94,10 +109,10 @@ def load_segmenter(name: str | os.PathLike[str] = DEFAULT_SEGMENTER) -> Segmente
     Raises:
         SonarjaxError: There is no such name or file, or the file cannot be used.
     """
-    text = os.fspath(name)
+    text = os.fspath(name) if isinstance(name, os.PathLike) else name
+    check_segmenter(text)
     if text in CLASSICAL:
         return Segmenter(text, THRESHOLDS[text], rule=RULES.get(text))
-    check_segmenter(text)
     path = shipped_path() if text == NETWORK else text
     _, about = read_safetensors(path)
     threshold, tile = about.get("threshold"), about.get("tile", TILE)
@@ -122,5 +137,6 @@ def check_segmenter(name: str) -> None:
     Raises:
         SonarjaxError: The name is neither.
     """
-    if name not in SEGMENTERS and not name.endswith(".safetensors"):
-        raise SonarjaxError(f"segmenter: expected one of {', '.join(SEGMENTERS)} or a .safetensors file, got {name!r}")
+    if not isinstance(name, str) or (name not in SEGMENTERS and not name.endswith(".safetensors")):
+        expected = f"one of {', '.join(SEGMENTERS)} or a .safetensors file"
+        raise SonarjaxError(f"segmenter: expected {expected}, got {shown(name)}")

@@ -17,6 +17,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from sonarjax.crops import LEAST, PATCH, TRAINING_FRAME, Box, cut_box, paste_patch
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.given import check_kind, image_array, number_array
 from sonarjax.segment.objects import find_objects
 from sonarjax.segment.weights import GeneratorWeights, segment_patch
 
@@ -43,11 +45,10 @@ class _Seen(NamedTuple):
     """False for a closer look without an object."""
 
 
-@partial(jax.jit, static_argnames=("closer", "tile"))
 def segment(
-    image: Float[Array, "range beam"],
+    image: Any,
     weights: GeneratorWeights,
-    mask: Bool[Array, "range beam"] | None = None,
+    mask: Any = None,
     *,
     closer: int = CLOSER,
     tile: tuple[int, int] = TILE,
@@ -67,7 +68,36 @@ def segment(
 
     Returns:
         Map (range, beam): shadow 0, background 0.5, highlight 1.
+
+    Raises:
+        SonarjaxError: The image is not one frame, the mask has another shape, or `weights` is something else.
     """
+    check_kind(weights, GeneratorWeights, "weights")
+    check_frame(image, mask)
+    return _segment(image, weights, mask, closer=closer, tile=tile)
+
+
+def check_frame(image: Any, mask: Any = None) -> None:
+    """Raise a SonarjaxError unless an image is one frame of numbers (range, beam), and a mask has its shape.
+
+    Only types and shapes are looked at, so traced values pass.
+    """
+    if not isinstance(image, jax.Array):
+        image_array(image, "image")
+    if mask is not None and not isinstance(mask, jax.Array):
+        number_array(mask, "mask")
+    if np.ndim(image) != 2:
+        raise SonarjaxError(f"image: expected one frame (range, beam), got shape {np.shape(image)}")
+    if mask is not None and np.shape(mask) != np.shape(image):
+        raise SonarjaxError(f"mask: expected the image's shape {np.shape(image)}, got {np.shape(mask)}")
+
+
+@partial(jax.jit, static_argnames=("closer", "tile"))
+def _segment(
+    image: Float[Array, "range beam"], weights: GeneratorWeights, mask: Bool[Array, "range beam"] | None, *,
+    closer: int, tile: tuple[int, int],
+) -> Float[Array, "range beam"]:  # fmt: skip
+    """`segment`, compiled."""
     image = jnp.asarray(image, jnp.float32)
     seen = image if mask is None else jnp.where(mask, image, _median(image, mask))
     tiles = _tiles(image.shape, tile)

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.given import check_kind, image_array, number_array
 from sonarjax.sonar.model import Sonar
 
 UNMEASURED = 0.5
 """Grey of pixels that were not measured."""
+BEYOND = 1.0
+"""Values up to this far outside [0, 1] may come of noise that was added; beyond it, the image has another scale."""
 
 
 def checked_image(
@@ -20,8 +24,8 @@ def checked_image(
     """Take a frame and its mask as arrays, and check that they fit the sonar.
 
     Args:
-        image: Frame (range, beam), finite where it was measured.
-        mask: True where a pixel was measured (range, beam); None means everywhere.
+        image: Frame (range, beam) in [0, 1] where it was measured; elsewhere it may hold anything.
+        mask: True where a pixel was measured (range, beam), in at least one; None means everywhere.
         sonar: The sonar that took it.
         name: What messages call the frame.
 
@@ -29,14 +33,27 @@ def checked_image(
         The frame (range, beam), grey where it was not measured, and the mask (range, beam) or None.
 
     Raises:
-        SonarjaxError: A shape does not fit, or a measured pixel is not finite.
+        SonarjaxError: The image is none of numbers, a shape does not fit, nothing was measured, or a measured pixel is
+            not finite or lies far outside [0, 1]; or `sonar` is no `Sonar`.
     """
-    image = np.asarray(image, np.float32)
+    check_kind(sonar, Sonar, "sonar")
+    image = np.asarray(image_array(image, name), np.float32)
     if image.shape != sonar.shape:
         raise SonarjaxError(f"{name}: expected shape {sonar.shape} (range, beam) of the sonar, got {image.shape}")
-    mask = None if mask is None else np.asarray(mask, bool)
+    mask = None if mask is None else np.asarray(number_array(mask, "mask"), bool)
     if mask is not None and mask.shape != image.shape:
         raise SonarjaxError(f"mask: expected the image's shape {image.shape}, got {mask.shape}")
-    if not np.isfinite(image if mask is None else image[mask]).all():
-        raise SonarjaxError(f"{name}: holds NaN or infinite values")
+    if mask is not None and not mask.any():
+        raise SonarjaxError("mask: expected at least one pixel that was measured, all are False")
+    _check_values(image if mask is None else image[mask], name)
     return (image if mask is None else np.where(mask, image, UNMEASURED).astype(np.float32)), mask
+
+
+def _check_values(values: Float[np.ndarray, "*pixel"], name: str) -> None:
+    """Raise a SonarjaxError for values that are not finite or far outside [0, 1]; both extremes of NaN are NaN."""
+    low, high = float(values.min()), float(values.max())
+    if not (math.isfinite(low) and math.isfinite(high)):
+        raise SonarjaxError(f"{name}: holds NaN or infinite values")
+    if low < -BEYOND or high > 1 + BEYOND:
+        hint = "; divide 8-bit values by 255" if low >= 0 and 2 < high <= 255 else ""
+        raise SonarjaxError(f"{name}: expected values in [0, 1], got {low:g} to {high:g}{hint}")

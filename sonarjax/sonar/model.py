@@ -10,6 +10,7 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.toml import read_toml
 from sonarjax.records import record
 from sonarjax.sonar.check import check_sonar
@@ -118,7 +119,14 @@ class Sonar:
 
         Returns:
             The copy.
+
+        Raises:
+            SonarjaxError: There is no such field.
         """
+        known = [one.name for one in fields(self)]
+        unknown = [name for name in changes if name not in known]
+        if unknown:
+            raise SonarjaxError(f"sonar: unknown field {', '.join(unknown)}, expected one of: {', '.join(known)}")
         return replace(self, **changes)
 
     @property

@@ -139,7 +139,8 @@ def modes_of(belief: Belief) -> tuple[Mode, ...]:
         yaw, x, y, rate = (mean[best, : RATE + 1] + middle).tolist()
         spread = own + np.einsum("k,ki,kj->ij", share, around, around)
         width = _half_width(share, around[:, YAW], np.sqrt(np.maximum(covariance[:, YAW, YAW], 0.0)))
-        found.append(Mode(yaw % (2 * math.pi), x, y, rate, spread, width, total))
+        certain = min(total, 1.0)  # the weights are rounded, so their sum may exceed 1 a little
+        found.append(Mode(yaw % (2 * math.pi), x, y, rate, spread, width, certain))
         weight = np.where(alike, 0.0, weight)
     return tuple(sorted(found, key=lambda mode: -mode.probability))
 

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, fields
 
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.given import is_number, shown
 
 
 @dataclass(frozen=True)
@@ -105,8 +106,8 @@ class TrackConfig:
 
 
 def _check(config: object) -> None:
-    """Raise a SonarjaxError for a field that is negative or not finite."""
+    """Raise a SonarjaxError for a field that is no number, negative or not finite."""
     for one in fields(config):  # type: ignore[arg-type]
         value = getattr(config, one.name)
-        if not 0 <= value < math.inf:
-            raise SonarjaxError(f"{one.name}: expected a number of 0 or more, got {value}")
+        if not (is_number(value) and 0 <= value < math.inf):
+            raise SonarjaxError(f"{one.name}: expected a number of 0 or more, got {shown(value)}")

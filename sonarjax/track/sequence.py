@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.given import check_kind, image_array, is_number, number_array, shown
 from sonarjax.recognition import Recognition
 from sonarjax.recognize import Recognizer
 from sonarjax.refine import in_view
@@ -96,8 +97,9 @@ class Tracker:
                 even if matching misses it.
 
         Raises:
-            SonarjaxError: The recognizer has several targets, or `motion` is not a motion.
+            SonarjaxError: There is no recognizer, it has several targets, or `motion` is not a motion.
         """
+        check_kind(recognizer, Recognizer, "recognizer")
         if len(recognizer.targets) != 1:
             raise SonarjaxError(f"recognizer: expected one with a single target, got {len(recognizer.targets)} targets")
         if not isinstance(motion, Standing | Turning):
@@ -249,8 +251,9 @@ def track(
         The belief after each frame, or with `smooth` given all frames.
 
     Raises:
-        SonarjaxError: There are no frames; shapes differ; masks, poses or times do not fit; no frame can be recognized;
-            the target is identified in none; or `recognizer` or `motion` does not suit a `Tracker`.
+        SonarjaxError: There are no frames, or something else than arrays; shapes differ; masks, poses or times do not
+            fit; no frame can be recognized; the target is identified in none; or `recognizer` or `motion` does not suit
+            a `Tracker`.
     """
     images, masked, poses, elapsed = _checked(frames, masks, sonar_poses, times)
     tracker = Tracker(recognizer, motion, config=config, threshold=threshold, expect=expect)
@@ -285,7 +288,9 @@ _COLUMNS = ("yaw", "yaw_std", "x", "y", "rate", "probability")
 def _checked(
     frames: Sequence[Any], masks: Sequence[Any] | None, sonar_poses: Any, times: Any
 ) -> tuple[list[np.ndarray], list[Any], list[Pose | None], list[float]]:
-    images = [np.asarray(image) for image in frames]
+    if isinstance(frames, str) or not isinstance(frames, Iterable):
+        raise SonarjaxError(f"frames: expected a sequence of images (range, beam), got {shown(frames)}")
+    images = [image_array(image, f"frames[{k}]") for k, image in enumerate(frames)]
     if not images:
         raise SonarjaxError("frames: expected at least one")
     for k, image in enumerate(images):
@@ -297,7 +302,7 @@ def _checked(
         raise SonarjaxError(f"masks: expected one for each of {len(images)} frames, got {len(masked)}")
     elapsed = [1.0] * len(images)
     if times is not None:
-        at = np.asarray(times, float)
+        at = np.asarray(number_array(times, "times"), float)
         if at.shape != (len(images),) or not np.isfinite(at).all() or (np.diff(at) < 0).any():
             raise SonarjaxError(f"times: expected {len(images)} finite numbers that do not decrease")
         elapsed = [0.0, *np.diff(at).tolist()]
@@ -329,5 +334,5 @@ def _sonar_numbers(pose: Pose | None) -> np.ndarray:
 
 
 def _check_elapsed(elapsed: float) -> None:
-    if not 0 <= elapsed < math.inf:
-        raise SonarjaxError(f"elapsed: expected a time of 0 or more, got {elapsed}")
+    if not (is_number(elapsed) and 0 <= elapsed < math.inf):
+        raise SonarjaxError(f"elapsed: expected a time of 0 or more, got {shown(elapsed)}")

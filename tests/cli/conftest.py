@@ -67,9 +67,9 @@ def stand_in(monkeypatch) -> SimpleNamespace:
     """Stand-ins for the slow modules behind `segment` and `recognize`: they note calls.
 
     `interrupt` stops at the call of that number, `failures` (number of a call -> exception) fails in it.
-    `yaw_std` [rad] is what is found.
+    `yaw_std` [rad] is what is found; `threshold` and `rule` are the segmenter's.
     """
-    state = SimpleNamespace(calls=[], interrupt=None, failures={}, yaw_std=float("nan"))
+    state = SimpleNamespace(calls=[], interrupt=None, failures={}, yaw_std=float("nan"), threshold=0.0, rule=None)
 
     def note(call):
         state.calls.append(call)
@@ -79,7 +79,7 @@ def stand_in(monkeypatch) -> SimpleNamespace:
     class Recognizer(sys.modules["sonarjax.recognize"].Recognizer):  # trackers take no other
         def __init__(self, mesh, sonar, *, segmenter, refine, engine):
             self.targets, self.search, self.refine = {"target": mesh}, SearchConfig(), None
-            self.sonar, self.options = sonar, {"segmenter": segmenter, "refine": refine is not None}
+            self.sonar, self.options = sonar, {"segmenter": segmenter.name, "refine": refine is not None}
 
         def __call__(self, image, mask=None, *, semantic=None, threshold=None, starts=()):
             note(self.options | {"mask": mask, "threshold": threshold})
@@ -90,8 +90,11 @@ def stand_in(monkeypatch) -> SimpleNamespace:
             return found(float(image.mean()), state.yaw_std)
 
     class Network:
+        def __init__(self, name):
+            self.name, self.threshold, self.rule = name, state.threshold, state.rule
+
         def labels(self, image, mask=None, engine=None):
-            note("pix2pix")
+            note(self.name)
             return (image > 0.5).astype(np.uint8)
 
     # By name in sys.modules: `sonarjax.recognize` and `sonarjax.segment` are the functions.

@@ -29,19 +29,34 @@ def test_help_names_what_the_contract_lists(command, command_name):
     expected = {
         "": COMMANDS,
         "render": ("MESH", "--sonar", "--x", "--y", "--yaw-deg", "--out", "--png"),
-        "segment": ("FRAME", "--out-dir"),
+        "segment": ("FRAME", "--out-dir", "--segmenter"),
         "recognize": ("FRAME", "--target", "--sonar", "--out", "--segmenter", "--no-refine", "--threshold"),
         "train": ("smoke,cpu,paper", "--run-dir", "--resume"),
         "info": ("FILE",),
         "export": ("--onnx", "--segmenter"),
-        "convert": ("FILE", "--out", "--opening-deg", "--range-min", "--range-max", "--bins", "--beams", "--width"),
+        "convert": (
+            "FILE",
+            "--out",
+            "--sonar",
+            "--opening-deg",
+            "--range-min",
+            "--range-max",
+            "--bins",
+            "--beams",
+            "--width",
+        ),
     }[command_name]
     assert all(word in out for word in expected)
 
 
 def test_help_names_every_segmenter(command):
-    _, out, _ = command("recognize", "--help")
-    assert ",".join(SEGMENTERS) + ";" in "".join(out.split())  # a name may be broken at its hyphen
+    for name in ("recognize", "segment"):
+        _, out, _ = command(name, "--help")
+        assert ",".join(SEGMENTERS) + ";" in "".join(out.split())  # a name may be broken at its hyphen
+
+
+def test_help_says_that_results_are_appended(command):
+    assert "appended" in command("recognize", "--help")[1]
 
 
 def test_help_and_mistakes_draw_and_plot_nothing():

@@ -3,13 +3,16 @@
 import json
 import os
 import struct
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from sonarjax.io import write_png
 from sonarjax.io.safetensors import write_safetensors
 
 SHAPE = (64, 24)
+AZIMUTH, EDGES = (np.arange(24) - 11.5) * 29 / 24, np.linspace(1.5, 4.0, 65)
 
 
 def recording(n_frames: int, n_ranges: int = 64) -> bytes:
@@ -105,6 +108,38 @@ def test_a_frame_that_does_not_fit_the_sonar_is_an_error_line(recognize, stand_i
     assert ["error" in record for record in records] == [True, False]
 
 
+def test_a_fan_picture_is_sent_to_convert(recognize, stand_in, place, tmp_path):
+    write_png(tmp_path / "fan.png", np.full((40, 30), 0.5))
+    axes = {"azimuth_deg": np.linspace(-9, 9, 30), "range_edges_m": np.linspace(1, 2, 41)}
+    np.savez(tmp_path / "polar.npz", image=np.full((40, 30), 0.5), **axes)
+    _, _, (fan, polar) = recognize([tmp_path / "fan.png", tmp_path / "polar.npz"], tmp_path / "r.jsonl")
+    assert fan["error"].startswith(f"{tmp_path}/fan.png: image: expected shape (64, 24)")
+    assert "sonarjax convert" in fan["error"] and "--sonar" in fan["error"]
+    assert "got (40, 30)" in polar["error"] and "convert" not in polar["error"]
+
+
+@pytest.mark.parametrize(
+    ("azimuth_deg", "edges", "said"),
+    [
+        (AZIMUTH, EDGES, ""),
+        (AZIMUTH + 1.0, EDGES + 0.1, ""),  # less than a beam and three bins
+        (AZIMUTH + 1.5, EDGES, "beam angles differ by up to 1.5 deg"),
+        (AZIMUTH / 60, EDGES, "beam angles differ by up to 14 deg"),  # degrees were taken for radians
+        (AZIMUTH, EDGES + 0.2, "range 1.7 to 4.2 m, not 1.5 to 4 m"),
+        (AZIMUTH, np.linspace(1.5, 8.0, 65), "range 1.5 to 8 m, not 1.5 to 4 m"),
+    ],
+)
+def test_a_header_that_contradicts_the_sonar_is_noted_once(
+    recognize, stand_in, place, tmp_path, azimuth_deg, edges, said
+):
+    path = tmp_path / "own.npz"
+    np.savez(path, image=np.full(SHAPE, 0.5, np.float32), azimuth_deg=azimuth_deg, range_edges_m=edges)
+    code, err, records = recognize([path, place / "a.npz", path], tmp_path / "r.jsonl")
+    assert code == 0 and all("score" in record for record in records) and len(records) == 3
+    wanted = f"sonarjax: note: {path}: its header contradicts {place}/sonar.toml, which is used: {said}\n"
+    assert err == (wanted if said else "")
+
+
 def test_a_recording_gives_all_its_frames(recognize, stand_in, place, tmp_path):
     path = tmp_path / "three.aris"
     path.write_bytes(recording(3))
@@ -116,6 +151,7 @@ def test_a_recording_gives_all_its_frames(recognize, stand_in, place, tmp_path):
     assert [record["frame"] for record in records] == [f"{path}:{n}" for n in (0, 1, 2, 1, 7)]
     assert ["error" in record for record in records] == [False] * 4 + [True]
     assert "frame 7: expected 0 to 2" in err
+    assert err.count("its header contradicts") == 1  # one note for the file, not for each of its frames
 
 
 def test_an_interrupt_keeps_what_is_written(recognize, stand_in, place, tmp_path):
@@ -204,6 +240,27 @@ def test_what_stops_a_batch(complaint, stand_in, place, tmp_path, option, value,
     assert not out.exists()
 
 
+def test_a_missing_threshold_stops_a_batch_before_any_frame(complaint, recognize, stand_in, place, tmp_path):
+    out = tmp_path / "r.jsonl"
+    target = ["--target", place / "brick.stl", "--sonar", place / "sonar.toml", "--out", out]
+    own = [place / "a.npz", place / "absent.npz", *target, "--segmenter", "own.safetensors"]
+    stand_in.threshold, rule = None, SimpleNamespace(threshold=0.5)
+    said = "--threshold: expected a number, because own.safetensors has no threshold of its own"
+    assert said in complaint(2, "recognize", *own)
+    stand_in.rule = rule
+    assert said in complaint(2, "recognize", *own, "--no-refine")  # the rule is for refined matches
+    assert not out.exists() and not stand_in.calls
+    assert recognize([place / "a.npz"], out)[0] == 0
+    stand_in.rule = None
+    assert recognize([place / "a.npz"], out, "--threshold", "0.3")[0] == 0
+
+
+def test_a_missing_weights_file_is_not_put_down_to_the_sonar(complaint, place, tmp_path):
+    target = ["--target", place / "brick.stl", "--sonar", place / "sonar.toml", "--out", tmp_path / "r.jsonl"]
+    said = complaint(2, "recognize", place / "a.npz", *target, "--segmenter", "no.safetensors")
+    assert said == "sonarjax: error: no.safetensors: no such file\n"
+
+
 @pytest.mark.parametrize("name", ["a.npz", "brick.stl", "sonar.toml"])
 def test_results_never_take_the_place_of_an_input(complaint, stand_in, place, tmp_path, name):
     before = (place / name).read_bytes()
@@ -235,6 +292,19 @@ def test_segment_writes_labels_by_stem(command, stand_in, place, tmp_path):
         assert list(labels) == ["labels"]
         assert (labels["labels"].shape, labels["labels"].dtype) == (SHAPE, np.uint8)
     assert set(stand_in.calls) == {"pix2pix"}
+
+
+def test_segment_uses_the_segmenter_that_is_named(command, complaint, place, tmp_path):
+    """The real ones: `none` cuts the grey frame at 1/4 and 3/4, so the names give different labels."""
+    for name, grey in (("none", [0.2, 0.5, 0.8]), ("otsu1", [0.5, 0.6, 0.7])):
+        np.save(tmp_path / "f.npy", np.repeat(np.float32(grey), 32).reshape(12, 8))
+        assert command("segment", tmp_path / "f.npy", "--segmenter", name, "--out-dir", tmp_path / name) == (0, "", "")
+        labels = np.load(tmp_path / name / "labels_f.npz")["labels"]
+        assert (labels == 2).any() == (name == "none") and (labels == 1).any()
+    folder = tmp_path / "none of these"
+    for name, said in (("unet", "expected one of"), ("no.safetensors", "error: no.safetensors: no such file")):
+        assert said in complaint(2, "segment", place / "a.npz", "--segmenter", name, "--out-dir", folder)
+    assert not folder.exists()
 
 
 def test_segment_goes_on_after_an_unreadable_frame(command, stand_in, bad, place, tmp_path):

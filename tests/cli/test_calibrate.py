@@ -43,6 +43,26 @@ def test_what_cannot_be_used_is_one_line(command, place, tmp_path, frame, option
     assert not out.exists()
 
 
+def test_a_frame_of_another_shape_is_named(command, place, tmp_path):
+    np.save(tmp_path / "wide.npy", np.full((64, 25), 0.5, np.float32))
+    code, _, err = command(*arguments(place, place / "a.npz", tmp_path / "wide.npy", out=tmp_path / "fitted.toml"))
+    assert code == 1 and err.count("\n") == 1
+    assert f"error: {tmp_path}/wide.npy: image: expected shape (64, 24) (range, beam) of {place}/sonar.toml" in err
+
+
+def test_a_contradicting_header_is_noted(command, place, tmp_path):
+    axes = {"azimuth_deg": np.linspace(-10.0, 10.0, 24), "range_edges_m": np.linspace(1.5, 4.0, 65)}
+    np.savez(tmp_path / "own.npz", image=np.full((64, 24), 0.5, np.float32), **axes)
+    frames = tmp_path / "own.npz", tmp_path / "absent.npz"  # the second ends the command before it computes
+    code, _, err = command(*arguments(place, *frames, out=tmp_path / "fitted.toml"))
+    assert code == 1 and f"note: {tmp_path}/own.npz: its header contradicts" in err
+
+
+def test_a_picture_of_another_format_is_refused(command, place, tmp_path):
+    code, _, err = command(*arguments(place, place / "a.npz", out=tmp_path / "fitted.toml", png=tmp_path / "p.jpg"))
+    assert code == 2 and "--png: " in err and "expected a name that ends in .png" in err
+
+
 def test_an_output_may_not_be_an_input(command, place):
     found, _, err = command(*arguments(place, place / "a.npz", out=place / "sonar.toml"))
     assert found == 2 and "--out" in err

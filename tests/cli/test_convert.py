@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 import os
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from sonarjax.io import fan_around, read_frames, write_png
+from sonarjax.sonar import Sonar
 
 SECTOR = ("--opening-deg", 29, "--range-min", 1.5, "--range-max", 4)
 
@@ -101,6 +103,78 @@ def test_whole_and_apex_say_the_same(command, fan, tmp_path):
     np.testing.assert_allclose(frames["whole"][inner], frames["box"][inner], atol=0.01)
 
 
+@pytest.fixture
+def uneven(tmp_path):
+    """`uneven.toml`, whose beams lie up to 0.9° from even ones; `polar.npz`, stripes on them; `seen.png`, their fan."""
+    toml, polar = tmp_path / "uneven.toml", tmp_path / "polar.npz"
+    toml.write_text('preset = "aris-1200"\nrange_min_m = 1.5\nrange_max_m = 4.0\nn_ranges = 100\n')
+    sonar = Sonar.from_toml(toml)
+    edges = np.linspace(1.5, 4.0, 101)
+    image = value(*np.meshgrid((edges[1:] + edges[:-1]) / 2, np.asarray(sonar.azimuth) * 8, indexing="ij"))
+    azimuth_deg = np.degrees(np.asarray(sonar.azimuth, np.float64))
+    np.savez(polar, image=np.clip(image / 2 + 0.3, 0, 1), azimuth_deg=azimuth_deg, range_edges_m=edges)
+    np.save(tmp_path / "bare.npy", read_frames(polar)[0].image)
+    return SimpleNamespace(toml=toml, polar=polar, seen=tmp_path / "seen.png", sonar=sonar)
+
+
+def test_fan_is_put_on_the_beams_of_an_uneven_sonar(command, uneven, tmp_path):
+    assert command("convert", uneven.polar, "--out", uneven.seen)[0] == 0
+    out = tmp_path / "back.npz"
+    code, said, err = command("convert", uneven.seen, "--sonar", uneven.toml, "--out", out)
+    assert (code, err) == (0, "") and f"{out}: 100 range bins x 48 beams, opening 27.58 deg" in said
+    before, back = read_frames(uneven.polar)[0], read_frames(out)[0]
+    np.testing.assert_allclose(back.geometry["azimuth_deg"], np.degrees(uneven.sonar.azimuth), atol=1e-5)
+    np.testing.assert_allclose(np.load(out)["range_edges_m"], np.linspace(1.5, 4.0, 101))
+    inner = np.s_[1:-1, 1:-1]
+    assert back.mask[inner].all()
+    assert np.sqrt(np.mean((back.image - before.image)[inner] ** 2)) < 0.01
+    even = ("--opening-deg", 27.58, "--range-min", 1.5, "--range-max", 4, "--bins", 100, "--beams", 48)
+    assert command("convert", uneven.seen, *even, "--out", out)[0] == 0
+    assert np.sqrt(np.mean((read_frames(out)[0].image - before.image)[inner] ** 2)) > 0.02
+
+
+def test_picture_of_a_smaller_window_fills_its_part_of_the_sonars(command, uneven, tmp_path):
+    """What the picture does not show is masked; the rest is where it was."""
+    assert command("convert", uneven.polar, "--out", uneven.seen)[0] == 0
+    wide, out = tmp_path / "wide.toml", tmp_path / "wide.npz"
+    wide.write_text(uneven.toml.read_text().replace("4.0", "6.5").replace("100", "200"))
+    options = ("--range-min", 1.5, "--range-max", 4)
+    assert command("convert", uneven.seen, "--sonar", wide, *options, "--out", out)[0] == 0
+    frame, before = read_frames(out)[0], read_frames(uneven.polar)[0]
+    assert frame.shape == (200, 48) and frame.geometry["range_max_m"] == 6.5
+    assert not frame.mask[101:].any() and frame.mask[1:99, 1:-1].all()
+    assert np.sqrt(np.mean((frame.image[:100] - before.image)[1:-1, 1:-1] ** 2)) < 0.01
+
+
+def test_frame_without_axes_becomes_the_fan_of_a_sonar(command, uneven, tmp_path):
+    one, other = uneven.seen, tmp_path / "other.png"
+    assert command("convert", uneven.polar, "--out", one)[0] == 0
+    assert command("convert", tmp_path / "bare.npy", "--sonar", uneven.toml, "--out", other)[0] == 0
+    assert one.read_bytes() == other.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("polar.npz", "--out", "p.npz"), "polar.npz: expected a fan picture to make a polar frame of"),
+        (("polar.npz", *SECTOR, "--out", "p.npz"), "polar.npz: expected a fan picture to make a polar frame of"),
+        (("FAN", "--sonar", "uneven.toml", "--bins", 3, "--out", "p.npz"), "fan.png: --bins: cannot be used with --so"),
+        (("FAN", "--sonar", "no.toml", "--out", "p.npz"), "no.toml: no such file"),
+        (("FAN", "--sonar", "uneven.toml", "--out", "uneven.toml"), "would overwrite the input"),
+        (("polar.npz", "--sonar", "uneven.toml", "--out", "p.png"), "polar.npz: --sonar: cannot be used: the file"),
+        (("FAN", "--sonar", "uneven.toml", "--out", "p.png"), "fan.png: --sonar: expected a frame of shape (100, 48)"),
+        (("bare.npy", "--sonar", "uneven.toml", "--range-max", 3, "--out", "p.png"), "bare.npy: --range-max: cannot"),
+        (("polar.npz", "--sonar", "uneven.toml", "--out", "p.bag"), "--sonar: cannot be used with the bag"),
+    ],
+)
+def test_sonar_that_cannot_be_used(complaint, fan, uneven, tmp_path, monkeypatch, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    before = set(os.listdir())
+    given = [os.path.relpath(fan) if argument == "FAN" else argument for argument in arguments]
+    assert words in complaint(2, "convert", *given)
+    assert set(os.listdir()) == before
+
+
 def test_frame_of_the_picture_counts_where_it_is_asked_for(command, tmp_path):
     """A picture that is all bright: only its frame can tell."""
     write_png(tmp_path / "a.png", np.pad(np.full((100, 80), 200, np.uint8), 10))
@@ -152,7 +226,7 @@ def test_frame_of_the_right_shape_is_recognized(command, place, fan, tmp_path, s
         (("a.npy", "--out", "p.png"), 2, "a.npy: --opening-deg: required for a frame without azimuth_deg"),
         (("own.npz", *SECTOR, "--out", "p.png"), 2, "own.npz: --opening-deg: cannot be used: the file itself holds"),
         (("missing.png", *SECTOR, "--out", "p.npz"), 1, "missing.png: no such file"),
-        (("broken.png", *SECTOR, "--out", "p.npz"), 1, "broken.png: expected a PNG"),
+        (("broken.png", *SECTOR, "--out", "p.npz"), 1, "broken.png: expected a PNG file, this is none"),
         (("own.npz", "a.npy", "--out", "p.png"), 2, "--out: 'p.png' holds one frame: expected one FILE, got 2"),
     ],
 )  # fmt: skip

@@ -21,7 +21,10 @@ def test_shipped_network_is_exported(command, tmp_path):
     ("arguments", "said"),
     [
         (["--onnx", "f.onnx", "--segmenter", "otsu"], "'otsu' has no network"),
-        (["--onnx", "f.onnx", "--segmenter", "unet"], "segmenter: expected one of"),
+        (
+            ["--onnx", "f.onnx", "--segmenter", "unet"],
+            "--segmenter: expected pix2pix or a .safetensors file, got 'unet'",
+        ),
         (["--onnx", "f.onnx", "--segmenter", "none.safetensors"], "none.safetensors"),
         (["--onnx", "f.onnx", "--segmenter", "broken.safetensors"], "expected a complete safetensors file"),
         (["--onnx", "broken.safetensors", "--segmenter", "broken.safetensors"], "would overwrite the input"),

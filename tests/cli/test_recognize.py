@@ -68,6 +68,7 @@ def test_an_object_larger_than_the_view_is_refused_at_once(complaint, place, tmp
     files = ["--sonar", place / "sonar.toml", "--out", out]
     said = complaint(2, "recognize", place / "a.npz", "--target", part, *files)
     assert f"{part}: the mesh is " in said and "--unit-m 0.001" in said and "range ends at 4 m" in said
+    files[-1] = tmp_path / "f.npz"
     said = complaint(2, "render", part, "--x", 2, "--y", 0, "--yaw-deg", 0, *files)
     assert f"{part}: the mesh is " in said and "--unit-m 0.001" in said
     assert not out.exists()

@@ -50,9 +50,37 @@ def test_object_outside_the_view_is_noted_and_no_error(command, place, rendered,
     code, _, err = command("render", place / "brick.stl", *arguments)
     assert code == 0
     assert err.startswith("sonarjax: note: ")
-    assert "view" in err
+    assert "behind the sonar" in err
     with np.load(out) as frame:
         assert (frame["image"] == 0.5).all()
+
+
+@pytest.mark.parametrize(
+    ("place_of_it", "reasons"),
+    [
+        (("--x", 0.3, "--y", 0), ["nearer than the range window (", "it begins at 1.5 m", "below the aperture"]),
+        (("--x", 1.2, "--y", 0), ["it is below the aperture"]),
+        (("--x", 6, "--y", 0), ["farther than the range window (", "it ends at 4 m", "above the aperture"]),
+        (("--x", 2.2, "--y", 3), ["it is beside the field of view, to port"]),
+        (("--x", 2.2, "--y", -3), ["it is beside the field of view, to starboard"]),
+        (("--x", 2.2, "--y", 0.15, "--unit-m", 0.003), ["it is too small"]),
+    ],
+)
+def test_note_tells_why_nothing_is_seen(command, place, tmp_path, place_of_it, reasons):
+    arguments = ["--sonar", place / "sonar.toml", *place_of_it, "--yaw-deg", 0, "--out", tmp_path / "f.npz"]
+    code, _, err = command("render", place / "brick.stl", *arguments)
+    assert code == 0 and all(reason in err for reason in reasons), err
+    assert err.count(" and ") == len(reasons) // 3
+
+
+@pytest.mark.parametrize(("option", "name"), [("--out", "f.png"), ("--out", "f"), ("--png", "f.jpg")])
+def test_output_of_another_format_is_refused(complaint, place, tmp_path, option, name):
+    files = {"--out": tmp_path / "f.npz", option: tmp_path / name}
+    arguments = [part for pair in files.items() for part in pair]
+    said = complaint(2, "render", place / "brick.stl", "--sonar", place / "sonar.toml", *POSE, *arguments)
+    wanted = ".npz" if option == "--out" else ".png or .pdf or .svg"
+    assert f"{option}: '{tmp_path / name}': expected a name that ends in {wanted}\n" in said
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(

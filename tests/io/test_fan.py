@@ -108,6 +108,24 @@ def test_both_ways_equal_a_smooth_field_in_metres():
     assert not again[~seen].any()
 
 
+def test_uneven_beams_and_bins_equal_a_smooth_field_in_metres():
+    """Beams and bins that grow across the fan take the field's mean over them; a window beyond the fan is masked."""
+
+    def field(x, y):
+        return (0.5 + 0.2 * np.sin(2 * x) + 0.2 * np.cos(3 * y + 0.5)).astype(np.float32)
+
+    geometry = FanGeometry(OPENING, NEAR, FAR, apex_row=412.0, apex_column=120.0, row_m=0.01, column_m=0.0125)
+    rows, columns = np.meshgrid(np.arange(320) + 0.5, np.arange(240) + 0.5, indexing="ij")
+    picture = field((412 - rows) * 0.01, (120 - columns) * 0.0125)
+    azimuth = OPENING / 2 * np.sin(np.linspace(-1.4, 1.4, 40))
+    edges = NEAR + (FAR + 1 - NEAR) * np.linspace(0, 1, 81) ** 1.5
+    r, a = np.meshgrid((edges[1:] + edges[:-1]) / 2, azimuth, indexing="ij")
+    image, mask = fan_to_polar(picture, geometry, azimuth=azimuth, range_edges=edges)
+    assert image.shape == (80, 40)
+    np.testing.assert_allclose(image[mask], field(r * np.cos(a), r * np.sin(a))[mask], atol=0.01)
+    assert mask[edges[1:] <= FAR].all() and not mask[edges[:-1] > FAR + 0.02].any()
+
+
 @pytest.mark.parametrize(("kind", "pixel", "most"), [("smooth", 0.011, 0.001), ("speckled", 0.0055, 0.01)])
 def test_round_trip(rng, kind, pixel, most):
     """Within 1 % of full scale; speckle with grains of 2 cells, pixels as small as the finest beam (half a bin)."""
@@ -237,6 +255,7 @@ def test_beams_of_unequal_width_and_one_beam():
 
 
 BOX = PictureBox(0.0, 100.0, 0.0, 100.0)
+PICTURE = np.ones((4, 4))
 
 
 @pytest.mark.parametrize(
@@ -255,6 +274,9 @@ BOX = PictureBox(0.0, 100.0, 0.0, 100.0)
         (lambda: fan_around(0.5, 1.0, 2.0, 1e-6), "at most"),
         (lambda: fan_to_polar(np.ones((4, 4)), fit_fan(BOX, 0.5, 1.0, 2.0), (0, 5)), "shape"),
         (lambda: fan_to_polar(np.ones((4, 4)), fit_fan(BOX, 0.5, 1.0, 2.0), (10**5, 10**5)), "shape"),
+        (lambda: fan_to_polar(PICTURE, fit_fan(BOX, 0.5, 1.0, 2.0), (4, 3), azimuth=np.arange(2.0)), "azimuth"),
+        (lambda: fan_to_polar(PICTURE, fit_fan(BOX, 0.5, 1.0, 2.0), range_edges=np.array([2.0, 1])), "range_edges"),
+        (lambda: fan_to_polar(PICTURE, fit_fan(BOX, 0.5, 1.0, 2.0), azimuth=np.array([])), "shape"),
         (lambda: polar(np.array([0.1, 0.0]), np.arange(3.0)), "azimuth"),
         (lambda: polar(np.array([0.0, 0.1]), np.arange(2.0)), "range_edges"),
         (lambda: polar(np.array([0.0, 0.1]), np.array([0.0, 1.0, math.nan])), "range_edges"),

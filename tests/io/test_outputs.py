@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from sonarjax.io import SonarjaxError, check_label_files, check_outputs
+from sonarjax.io import SonarjaxError, check_ending, check_label_files, check_outputs
 
 
 @pytest.fixture(autouse=True)
@@ -41,6 +41,14 @@ def test_outputs_that_are_fine():
     check_outputs({"--out": "new.npz", "--png": None}, ["m.stl", "absent.toml", "nul\0"])
     check_outputs({"--out": "/dev/null", "--png": "/dev/null"}, ["m.stl"])
     check_outputs({"--out": "f.npz", "--png": "f.png"}, ["m.stl"])
+
+
+def test_ending_of_an_output():
+    for name in ("a.npz", "b.NPZ", "/dev/null", None):
+        check_ending("--out", name, (".npz",))
+    for name in ("a.png", "npz", "a.npz/", "sub"):
+        with pytest.raises(SonarjaxError, match=f"--out: '{name}': expected a name that ends in .npz or .npy"):
+            check_ending("--out", name, (".npz", ".npy"))
 
 
 def test_labels_that_name_an_input(folder):

@@ -29,7 +29,7 @@ from sonarjax.sonar import Sonar
 
 @pytest.mark.parametrize(("frequency", "table"), [(0.9e6, 0.21), (1.1e6, 0.31), (1.8e6, 0.84), (3.0e6, 2.34)])
 def test_absorption_of_fresh_water_at_15_degrees(frequency: float, table: float) -> None:
-    """PHYSICS.md's table, to its two decimals."""
+    """The viscous term A₃f² of Francois and Garrison (J. Acoust. Soc. Am. 72, 1982, part II), to two decimals."""
     assert float(fresh_absorption(frequency, 15.0)) == pytest.approx(table, abs=0.005)
 
 

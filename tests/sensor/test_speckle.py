@@ -107,7 +107,7 @@ def test_speckle_on_patches_has_the_second_moment_of_k() -> None:
 
 
 def test_correlation_of_an_oculus_is_the_measured_one() -> None:
-    """PHYSICS.md's figures of real far-field frames: 0.60 in azimuth, 0.06 in range, 1/e at 1.5 beams."""
+    """Measured on real far-field frames: 0.60 in azimuth, 0.06 in range, 1/e at 1.5 beams (our physics notes)."""
     sonar = Sonar.preset("oculus", azimuth=np.radians(np.arange(-40, 40) * 0.25))
     kernels = azimuth_kernel(sonar, 0.99), range_kernel(0.06)
     found = []

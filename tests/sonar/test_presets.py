@@ -1,4 +1,4 @@
-"""Presets against the numbers of PHYSICS.md, and the check that every sonar passes."""
+"""Presets against the numbers of the project's physics notes, and the check that every sonar passes."""
 
 import math
 

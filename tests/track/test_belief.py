@@ -285,3 +285,12 @@ def test_an_error_bar_holds_what_a_standard_deviation_does():
     held = density[np.abs(at) <= mode.yaw_std].sum() * (at[1] - at[0])
     assert held == pytest.approx(0.6827, abs=1e-3)
     assert math.sqrt(mode.covariance[0, 0]) > mode.yaw_std
+
+
+def test_no_probability_exceeds_one():
+    """The weights are rounded to float32, and so is their sum."""
+    belief = nothing_known(TrackConfig(components=3))
+    weights = jnp.array([-jnp.inf, jnp.log(0.5), jnp.log(0.5) + 4e-7])
+    (mode,) = modes_of(replace(belief, log_weight=weights))
+    assert np.exp(np.asarray(weights, float)).sum() > 1.0, "nothing to see: the test would pass without the limit"
+    assert mode.probability == 1.0

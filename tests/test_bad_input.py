@@ -1,0 +1,114 @@
+"""What Python users give by mistake: a path, a tuple, a rendered frame, text. Each is one clear line.
+
+In a process of its own: here the annotations are checked as well, and those checks would speak first.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+PREPARED = """
+import json, sys
+import numpy as np, trimesh
+import sonarjax as sj
+from sonarjax.io import Frame
+
+path = sys.argv[1]
+box = trimesh.creation.box((0.2, 0.1, 0.06))
+box.export(path)
+beams = np.linspace(-0.2, 0.2, 16)
+s = sj.Sonar.preset("didson-hf", tilt=0.35, n_ranges=64, range_min=2.0, range_max=3.0, azimuth=beams)
+m, p, im = sj.Mesh.load(path), sj.Pose(2.3, 0.0, 0.8), np.full(s.shape, 0.5, np.float32)
+frame = sj.SonarFrame(im, im, im, im > 0, 0, s)
+recognizer = sj.Recognizer(m, s, segmenter="none", refine=None)
+network = sj.load_segmenter()
+found = {}
+for call in json.load(sys.stdin):
+    try:
+        found[call] = f"no error: {eval(call)}"
+    except sj.SonarjaxError as error:
+        found[call] = str(error)
+    except Exception as error:
+        found[call] = f"{type(error).__name__}: {error}"
+print(json.dumps(found))
+"""
+MESH = "expected a Mesh (from Mesh.load(path) or Mesh.from_arrays(vertices, faces)), got "
+POSE = "expected a Pose (such as Pose(x=2.0, y=0.0, yaw=0.5)), got "
+SONAR = "expected a Sonar (from Sonar.from_toml(path) or Sonar.preset(name)), got "
+WEIGHTS = "weights: expected a GeneratorWeights (such as load_segmenter().weights), got "
+ONE = "image: expected one frame (range, beam), got shape (64, 16, 1)"
+READ = " (sonarjax.io.read_frames(path) reads files)"
+CASES = {
+    # Something else in place of a mesh, a pose or a sonar
+    "sj.render(box, p, s)": f"mesh: {MESH}a Trimesh",
+    "sj.render('x.stl', p, s)": f"mesh: {MESH}'x.stl'",
+    "sj.render([m, 'x.stl'], [p, p], s)": f"mesh[1]: {MESH}'x.stl'",
+    "sj.render(m, (2.3, 0.0, 0.8), s)": f"pose: {POSE}a tuple",
+    "sj.render(m, [p], s)": f"pose: {POSE}a list",
+    "sj.render([m], [2.3], s)": f"pose[0]: {POSE}2.3",
+    "sj.render([m, m], p, s)": "pose: expected as many poses as meshes, got 1 and 2",
+    "sj.render(m, p, 's.toml')": f"sonar: {SONAR}'s.toml'",
+    "sj.Recognizer('x.stl', s)": f"targets: {MESH}'x.stl'",
+    "sj.Recognizer({'a': 'x.stl'}, s)": f"targets['a']: {MESH}'x.stl'",
+    "sj.Recognizer(box, s)": f"targets: {MESH}a Trimesh",
+    "sj.Recognizer(m, 's.toml')": f"sonar: {SONAR}'s.toml'",
+    "sj.Recognizer(m, s, segmenter=network.weights)": "segmenter: expected one of pix2pix, ",
+    "sj.recognize(im, m, 's.toml')": f"sonar: {SONAR}'s.toml'",
+    "sj.refine_yaw(im, m, s, (2.3, 0.0, 0.8))": f"start: {POSE}a tuple",
+    "sj.refine_pose(im[None], m, s, p, sonar_poses=(0, 0, 0))": f"sonar_poses: {POSE}a tuple",
+    "sj.plan_refinement(m, s, (2.3, 0.0, 0.8), sj.RefineConfig())": f"start: {POSE}a tuple",
+    "sj.Mesh.load(box)": "path: expected that of a mesh file, got a Trimesh: Mesh.from_arrays takes arrays",
+    "sj.track([im], m)": "recognizer: expected a Recognizer, got a Mesh",
+    "recognizer(im, starts=[(2.3, 0.0, 0.8)])": f"starts[0]: {POSE}a tuple",
+    # Something else in place of an image
+    "recognizer('t0.npy')": f"image: expected numbers, got 't0.npy'{READ}",
+    "recognizer(frame)": "image: expected numbers, got a SonarFrame (its `semantic()` is a map, ",
+    "recognizer(Frame(im, None, 'a', 'a'))": "image: expected numbers, got a Frame (its field `image` holds them)",
+    "recognizer(im, 'mask.npy')": "mask: expected numbers, got 'mask.npy'",
+    "sj.track(['t0.npy'], recognizer)": f"frames[0]: expected numbers, got 't0.npy'{READ}",
+    "sj.track('folder', recognizer)": "frames: expected a sequence of images (range, beam), got 'folder'",
+    "sj.refine_yaw('t0.npy', m, s, p)": f"image: expected numbers, got 't0.npy'{READ}",
+    "sj.refine_yaw(im, m, s, p, mask='m')": "mask: expected numbers, got 'm'",
+    "sj.segment(im, 'pix2pix')": f"{WEIGHTS}'pix2pix'",
+    "sj.segment(im, network)": f"{WEIGHTS}a Segmenter",
+    "sj.segment('t0.npy', network.weights)": f"image: expected numbers, got 't0.npy'{READ}",
+    "network.labels(im[:, :, None])": ONE,
+    "sj.load_segmenter('otsu').labels(im[:, :, None])": ONE,
+    "network.semantic(im, im[1:] > 0)": "mask: expected the image's shape (64, 16), got (63, 16)",
+    # Numbers
+    "sj.Pose(x='2.6')": "Pose: x: expected numbers, got '2.6'",
+    "sj.Pose(yaw=None)": "Pose: yaw: expected numbers, got None",
+    "sj.Pose([[1, 2], [1]])": "Pose: x: expected an array of numbers, got a list",
+    "recognizer(im, threshold='0.3')": "threshold: expected a number, got '0.3'",
+    "recognizer(im, threshold=float('nan'))": "threshold: expected a number, got nan",
+    "recognizer(255 * im)": "image: expected values in [0, 1], got 127.5 to 127.5; divide 8-bit values by 255",
+    "recognizer(im - 2)": "image: expected values in [0, 1], got -1.5 to -1.5",
+    "recognizer(im, semantic=9 * im, threshold=0.5)": "semantic: expected values in [0, 1], got 4.5 to 4.5",
+    "recognizer(im, im > 1)": "mask: expected at least one pixel that was measured, all are False",
+    "sj.Mesh.load(path, 'mm')": "unit_m must be a positive number of metres (0.001 for millimetres), got 'mm'",
+    "sj.Mesh.from_arrays('vertices', [[0, 1, 2]])": "mesh: vertices: expected numbers, got 'vertices'",
+    "sj.Turning(rate_std='5')": "rate_std: expected a number of 0 or more, got '5'",
+    "s.replace(tlt=0.3)": "sonar: unknown field tlt, expected one of: azimuth, range_min, ",
+}
+
+
+@pytest.fixture(scope="module")
+def said(tmp_path_factory) -> dict[str, str]:
+    """What the package said to each call."""
+    path = tmp_path_factory.mktemp("bad") / "box.stl"
+    done = subprocess.run(
+        [sys.executable, "-c", PREPARED, str(path)], input=json.dumps(list(CASES)), capture_output=True, text=True,
+        timeout=300, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-3000:]
+    return json.loads(done.stdout)
+
+
+@pytest.mark.parametrize("call", CASES)
+def test_a_wrong_argument_is_one_clear_line(call, said):
+    assert CASES[call] in said[call] and "\n" not in said[call]
+    assert "Error: " not in said[call], "no error of the package's own"
