@@ -3,7 +3,7 @@
 python -m experiments.fit_decision [--segmenter FILE --into FILE] [--preset smoke] [--help]
 
 A logistic regression weighs the evidence of `sonarjax.refine.evidence`, its AUC also given with each object left out of
-the fit in turn; one half is its threshold. `yaw_std` is corrected so that the errors are most likely. Validation frames
+the fit in turn; one half is its threshold. Another one tells frames with an object from frames of bare floor. `yaw_std` is corrected so that the errors are most likely. Validation frames
 show other objects and other devices than any test: see `experiments.common.validation`. `--piles` and `--walled` fit to
 more objects and to frames with walls in view, which did not carry over (docs/outside.md). What is found stands in the
 weights file's metadata, `sonarjax.segment.rule` and `sonarjax.refine.errorbar`.
@@ -28,7 +28,7 @@ from experiments.common.metrics import columns, yaw_error_deg
 from experiments.common.recognizers import recognizers
 from experiments.common.runs import Job
 from experiments.common.scores import area
-from experiments.common.validation import Case, Scene, scenes, validation_cases
+from experiments.common.validation import Case, Scene, empty_cases, scenes, validation_cases
 from experiments.common.walled import walled_cases
 from sonarjax.io.safetensors import read_safetensors, write_safetensors
 from sonarjax.refine import ErrorBar
@@ -46,7 +46,7 @@ BAR_RIDGE = 2.0
 HEADS = {
     "frames": "frames of", "count": "count", "auc": "AUC", "left_out": "AUC, object left out",
     "bank": "AUC of score_bank", "refined": "AUC of score_refined",
-    "identified": "targets found", "false_alarms": "others identified",
+    "identified": "targets found", "false_alarms": "others identified", "left_out_alarms": "object left out",
     "within_1": "within 1 `yaw_std`", "within_2": "within 2", "median": "yaw, median [°]", "astray": "beyond 30°",
 }  # fmt: skip
 
@@ -61,6 +61,8 @@ class Settings:
     """Validation frames."""
     piles: bool = False
     """Show ten drawn piles too, beside the five objects."""
+    empty: int = 120
+    """Frames of bare floor."""
     walled: int = 0
     """Further frames, with the walls of a drawn tank in view."""
     tilts_deg: tuple[float, ...] = TILTS_DEG
@@ -94,25 +96,33 @@ def run(settings: Settings, job: Job) -> Report:
     of = scenes() | pile_scenes() if settings.piles else scenes()
     cases = validation_cases(job.seed, settings.count, tilts_deg=settings.tilts_deg, of=of)
     cases += walled_cases(job.seed, settings.walled)
-    found = job.map(lambda name: _measure(cases, of, name), (settings.segmenter,), "segmenter")[settings.segmenter]
-    values = Measured(**{name: np.asarray(v, bool if name == "own" else float) for name, v in found.items()})
-    facts = {"sought": [case.sought for case in cases], "shown": [case.shown for case in cases]}
-    job.arrays("measured", **vars(values), **facts, odd=[case.odd for case in cases])
+    every = [*cases, *empty_cases(job.seed, settings.empty, tilts_deg=settings.tilts_deg)]
+    found = job.map(lambda name: _measure(every, of, name), (settings.segmenter,), "segmenter")[settings.segmenter]
+    all_values = Measured(**{name: np.asarray(v, bool if name == "own" else float) for name, v in found.items()})
+    sought = np.array([case.sought for case in every])
+    facts = {"sought": sought, "shown": [case.shown for case in every], "odd": [case.odd for case in every]}
+    job.arrays("measured", **vars(all_values), **facts)
+    filled = np.arange(len(every)) < len(cases)
+    values = Measured(**{name: v[filled] for name, v in vars(all_values).items()})
     odds, weights, offset = fit_logistic(values.evidence, values.own)
-    probability = 1 / (1 + np.exp(-odds(values.evidence)))
+    there, presence, start = fit_logistic(all_values.evidence, filled)
+    probability, empty = (score(odds, there, all_values.evidence[part]) for part in (filled, ~filled))
     bar = fit_error_bar(values)
-    left_out = _left_out(values, np.array([case.sought for case in cases]))
+    left_out = _left_out(all_values, filled, sought)
     walls, odd = np.arange(len(cases)) >= settings.count, np.array([case.odd for case in cases])
     families = {"any device": ~walls, "odd devices": odd & ~walls, "the family": ~odd & ~walls, "walls in view": walls}
     std = np.degrees(_std(bar, values))
     rows = [
-        {"frames": name} | _row(values, probability, left_out, std, chosen)
+        {"frames": name} | _row(values, probability, left_out[filled], std, chosen)
         for name, chosen in families.items()
         if values.own[chosen].any() and not values.own[chosen].all()
     ]
-    false = float((probability >= THRESHOLD)[~values.own].mean())
+    alarms = {"false_alarms": _alarms(empty), "left_out_alarms": _alarms(left_out[~filled])}
+    rows.append({"frames": "bare floor", "count": len(empty), **alarms})
+    false = _alarms(probability[~values.own])
     rule = {"weights": dict(zip(EVIDENCE, weights, strict=True)), "offset": offset}
     rule |= {"threshold": THRESHOLD, "false_alarms": false}
+    rule |= {"presence": {"weights": dict(zip(EVIDENCE, presence, strict=True)), "offset": start}}
     if settings.into:
         arrays, about = read_safetensors(settings.into)
         write_safetensors(settings.into, arrays, about | {"rule": rule})
@@ -127,7 +137,7 @@ def _measure(cases: list[Case], of: dict[str, Scene], segmenter: str) -> dict[st
         result = made[case.sought](case.tilt_deg)(case.image, threshold=0.5)
         assert result.evidence is not None
         row = [[result.evidence[name] for name in names] for names in (EVIDENCE, ("map_drop", "frame_drop"))]
-        row += [case.is_target, yaw_error_deg(result.yaw, case.yaw)]
+        row += [case.is_target, yaw_error_deg(result.yaw, case.yaw)]  # NaN where nothing is shown
         row += [np.degrees(result.evidence["curvature_std"]), result.score_bank, result.score_refined]
         for name, value in zip(found, row, strict=True):
             found[name].append(value)
@@ -151,6 +161,15 @@ def fit_logistic(evidence: np.ndarray, own: np.ndarray) -> tuple[Callable[[Any],
     weights = beta[:-1] / std
     offset = float(beta[-1] - weights @ mean)
     return lambda v: v @ weights + offset, [float(w) for w in weights], offset
+
+
+def score(target: Callable[[Any], Any], presence: Callable[[Any], Any], evidence: np.ndarray) -> np.ndarray:
+    """The score (frame,) of evidence (frame, number): the smaller of both probabilities, given by their log-odds."""
+    return 1 / (1 + np.exp(-np.minimum(target(evidence), presence(evidence))))
+
+
+def _alarms(probability: np.ndarray) -> float:
+    return float((probability >= THRESHOLD).mean())
 
 
 def fit_error_bar(values: Measured) -> ErrorBar:
@@ -187,15 +206,16 @@ def _std(bar: ErrorBar, values: Measured) -> np.ndarray:
     return bar.std(np.radians(values.std_deg), values.drops[:, 0], values.drops[:, 1], left_over)
 
 
-def _left_out(values: Measured, sought: np.ndarray) -> np.ndarray:
-    """Log-odds (frame,) by a rule that was fitted without the object that is sought."""
-    odds = np.zeros(len(sought))
-    for name in np.unique(sought):
+def _left_out(values: Measured, filled: np.ndarray, sought: np.ndarray) -> np.ndarray:
+    """Scores (frame,) by a rule that was fitted without the object that is sought; `filled` frames show an object."""
+    scores, names = np.zeros(len(sought)), np.unique(sought)
+    for name in names:
         inside = sought == name
-        if inside.all():
-            return fit_logistic(values.evidence, values.own)[0](values.evidence)
-        odds[inside] = fit_logistic(values.evidence[~inside], values.own[~inside])[0](values.evidence[inside])
-    return odds
+        known = ~inside if len(names) > 1 else inside
+        target = fit_logistic(values.evidence[known & filled], values.own[known & filled])[0]
+        presence = fit_logistic(values.evidence[known], filled[known])[0]
+        scores[inside] = score(target, presence, values.evidence[inside])
+    return scores
 
 
 def _row(
@@ -212,6 +232,7 @@ def _row(
         **{name: area(score[chosen], own) for name, score in scores.items()},
         "identified": float(said[own].mean()),
         "false_alarms": float(said[~own].mean()),
+        "left_out_alarms": _alarms(left_out[chosen][~own]),
         "within_1": float((error <= std)[near].mean()),
         "within_2": float((error <= 2 * std)[near].mean()),
         "median": float(np.median(error)),
@@ -223,12 +244,14 @@ def table(report: Report) -> str:
     """What is to be copied, and what it reaches."""
     rule = report["rule"]
     weights = ", ".join(f"{name} {value:.4g}" for name, value in rule["weights"].items())
+    presence = ", ".join(f"{name} {value:.4g}" for name, value in rule["presence"]["weights"].items())
     bar = ", ".join(f"{name} {value:.4g}" for name, value in report["error_bar"].items())
     return (
         f"weights: {weights}\noffset {rule['offset']:.4g}, threshold {rule['threshold']:.4g}, false alarms "
-        f"{rule['false_alarms']:.3f}\nerror bar: {bar}\n\n{columns(report['rows'], HEADS)}"
+        f"{rule['false_alarms']:.3f}\npresence: {presence}\noffset {rule['presence']['offset']:.4g}\n"
+        f"error bar: {bar}\n\n{columns(report['rows'], HEADS)}"
     )
 
 
 if __name__ == "__main__":
-    launch(run, Settings, table, smoke={"count": 8, "walled": 2, "segmenter": "none", "tilts_deg": (20.0,)})
+    launch(run, Settings, table, smoke={"count": 8, "empty": 4, "walled": 2, "segmenter": "none", "tilts_deg": (20.0,)})

@@ -30,6 +30,10 @@ SYMMETRIC = ("mug",)
 """Objects that are their own mirror image: what is like them is shown twice as often instead."""
 SEVERITIES = (0.7, 1.6)
 """Least and largest severity of the devices [1]."""
+EMPTY = 200_000
+"""Numbers of keys from here on are those of empty frames."""
+FAR_AWAY_M = 60.0
+"""Where the object of an empty frame stands: behind every range window [m]."""
 ODD = 0.6
 """Share of the devices that are of the widest family [1]."""
 
@@ -41,7 +45,7 @@ class Case:
     sought: str
     """Name of the object that is sought."""
     shown: str
-    """`target` where that is the object shown, else `other` or `mirror`."""
+    """`target` where that is the object shown, else `other`, `mirror` or `nothing`."""
     image: np.ndarray
     """Grey frame (range, beam) in [0, 1]."""
     clean: np.ndarray
@@ -150,6 +154,20 @@ def validation_cases(
                 return simulate(number)
 
         return [one(0), *engine().map(one, range(1, count))]  # the first alone compiles
+
+
+def empty_cases(seed: int, count: int, *, tilts_deg: Sequence[float] = (15.0, 20.0, 25.0)) -> list[Case]:
+    """`count` frames of bare floor, in which each object in turn is sought; no yaw is true."""
+    return [_empty_case(number, seed, tilts_deg) for number in range(count)]
+
+
+def _empty_case(number: int, seed: int, tilts_deg: Sequence[float]) -> Case:
+    key = jax.random.fold_in(jax.random.key(VALIDATION_SEED + seed), EMPTY + number)
+    name, tilt = list(scenes())[number % len(scenes())], tilts_deg[number // len(scenes()) % len(tilts_deg)]
+    device = draw_device(scenes()[name].target, tilt, SEVERITIES, wide=ODD, key=key)
+    away = sj.Pose(x=FAR_AWAY_M, y=0.0, yaw=0.0)
+    image, clean = observed(device.mesh, away, device.sonar, device.model, key=jax.random.fold_in(key, 5))
+    return Case(name, "nothing", np.asarray(image), np.asarray(clean), math.nan, tilt, device.odd)
 
 
 def _case(name: str, mesh: sj.Mesh, shown: str, tilt_deg: float, *, key: jax.Array) -> Case:

@@ -1,4 +1,8 @@
-"""The decision about a refined match: a logistic combination of evidence, fitted to validation frames."""
+"""The decision about a refined match: logistic combinations of evidence, fitted to validation frames.
+
+One tells the target from other objects, the other tells objects from bare floor. A frame shows the target only if both say
+so, and the score is the smaller of both probabilities.
+"""
 
 from __future__ import annotations
 
@@ -20,17 +24,49 @@ peak). `frame_rise` is the same for matching the frame itself, and `frame_peak` 
 
 
 @dataclass(frozen=True)
+class Presence:
+    """The probability that a frame shows any object, rather than nothing but floor and noise."""
+
+    weights: tuple[float, ...]
+    """Weight of each item of `EVIDENCE` in the log-odds."""
+    offset: float
+    """The log-odds if all items are 0."""
+
+    def probability(self, evidence: Mapping[str, float]) -> float:
+        """Compute the probability that an object is shown.
+
+        Args:
+            evidence: Value of each item of `EVIDENCE`, by name; other names are ignored.
+
+        Returns:
+            Probability from 0 to 1, if frames with and without an object are equally frequent; 0 if an item is not
+            finite.
+        """
+        return _logistic(self.weights, self.offset, evidence)
+
+    def as_json(self) -> dict[str, Any]:
+        """Convert to JSON types.
+
+        Returns:
+            What is stored under `presence` in a rule.
+        """
+        return {"weights": dict(zip(EVIDENCE, self.weights, strict=True)), "offset": self.offset}
+
+
+@dataclass(frozen=True)
 class IdentificationRule:
     """The probability that a frame shows the target, and the least probability that identifies it."""
 
     weights: tuple[float, ...]
-    """Weight of each item of `EVIDENCE` in the log-odds."""
+    """Weight of each item of `EVIDENCE` in the log-odds that an object shown is the target."""
     offset: float
     """The log-odds if all items are 0."""
     threshold: float
     """Least probability of an identified target [1]."""
     false_alarms: float
     """Share of other objects among the validation frames that were identified at that threshold [1]."""
+    presence: Presence | None = None
+    """Whether any object is shown; None if that was never fitted."""
 
     def probability(self, evidence: Mapping[str, float]) -> float:
         """Compute the probability that the target is shown.
@@ -39,10 +75,11 @@ class IdentificationRule:
             evidence: Value of each item of `EVIDENCE`, by name; other names are ignored.
 
         Returns:
-            Probability from 0 to 1, if targets and other objects are equally frequent; 0 if an item is not finite.
+            The smaller of two probabilities from 0 to 1: that an object shown is the target, if targets and other
+            objects are equally frequent, and that any object is shown (`Presence`). 0 if an item is not finite.
         """
-        odds = self.offset + sum(w * evidence[name] for w, name in zip(self.weights, EVIDENCE, strict=True))
-        return 1 / (1 + math.exp(-min(max(odds, -50.0), 50.0))) if math.isfinite(odds) else 0.0
+        target = _logistic(self.weights, self.offset, evidence)
+        return target if self.presence is None else min(target, self.presence.probability(evidence))
 
     def as_json(self) -> dict[str, Any]:
         """Convert the rule to JSON types.
@@ -55,7 +92,14 @@ class IdentificationRule:
             "offset": self.offset,
             "threshold": self.threshold,
             "false_alarms": self.false_alarms,
+            **({} if self.presence is None else {"presence": self.presence.as_json()}),
         }
+
+
+def _logistic(weights: tuple[float, ...], offset: float, evidence: Mapping[str, float]) -> float:
+    """The probability for log-odds that are linear in the evidence; 0 if they are not finite."""
+    odds = offset + sum(w * evidence[name] for w, name in zip(weights, EVIDENCE, strict=True))
+    return 1 / (1 + math.exp(-min(max(odds, -50.0), 50.0))) if math.isfinite(odds) else 0.0
 
 
 def read_rule(found: Any, name: str) -> IdentificationRule | None:
@@ -67,13 +111,23 @@ def read_rule(found: Any, name: str) -> IdentificationRule | None:
     if found is None:
         return None
     try:
-        weights = tuple(float(found["weights"][key]) for key in EVIDENCE)
-        rule = IdentificationRule(weights, *(float(found[key]) for key in ("offset", "threshold", "false_alarms")))
-    except (KeyError, TypeError, ValueError) as error:
+        numbers = (float(found[key]) for key in ("offset", "threshold", "false_alarms"))
+        presence = found.get("presence")
+        rule = IdentificationRule(
+            _weights(found),
+            *numbers,
+            None if presence is None else Presence(_weights(presence), float(presence["offset"])),
+        )
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise SonarjaxError(f"{name}: metadata: expected a `rule` with weights for {', '.join(EVIDENCE)}") from error
-    if not all(math.isfinite(v) for v in (*rule.weights, rule.offset, rule.threshold)):
+    parts = (rule,) if rule.presence is None else (rule, rule.presence)
+    if not all(math.isfinite(v) for part in parts for v in (*part.weights, part.offset, rule.threshold)):
         raise SonarjaxError(f"{name}: metadata: `rule` holds values that are not finite")
     return rule
+
+
+def _weights(found: Mapping[str, Any]) -> tuple[float, ...]:
+    return tuple(float(found["weights"][key]) for key in EVIDENCE)
 
 
 RULES: dict[str, IdentificationRule] = {
