@@ -3,10 +3,11 @@
 python -m experiments.fit_decision [--segmenter FILE --into FILE] [--preset smoke] [--help]
 
 A logistic regression weighs the evidence of `sonarjax.refine.evidence`, its AUC also given with each object left out of
-the fit in turn; one half is its threshold. Another one tells frames with an object from frames of bare floor. `yaw_std` is corrected so that the errors are most likely. Validation frames
-show other objects and other devices than any test: see `experiments.common.validation`. `--piles` and `--walled` fit to
-more objects and to frames with walls in view, which did not carry over (docs/outside.md). What is found stands in the
-weights file's metadata, `sonarjax.segment.rule` and `sonarjax.refine.errorbar`.
+the fit in turn; one half is its threshold. Another one tells frames with an object from frames of bare floor. `yaw_std`
+is corrected so that the errors are most likely. Validation frames show other objects and other devices than any test:
+see `experiments.common.validation`. `--piles` and `--walled` fit to more objects and to frames with walls in view, and
+did not carry over (docs/outside.md). What is found stands in the weights file's metadata, `sonarjax.segment.rule` and
+`sonarjax.refine.errorbar`.
 """
 
 from __future__ import annotations

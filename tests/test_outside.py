@@ -74,3 +74,16 @@ def test_error_bars_that_rank_frames_have_a_large_ratio() -> None:
     assert ratio is not None and 3.0 < ratio < 8.0
     assert outside._rank_ratio([[std.tolist(), [1.0] * 800]]) == pytest.approx(1.0)
     assert outside._rank_ratio([]) is None
+
+
+def test_a_score_is_no_higher_than_the_probability_that_anything_is_shown() -> None:
+    """Two groups that the first rule cannot tell apart, one of them without any fit: the second rule does."""
+    evidence = np.zeros((60, 8))
+    evidence[:40, :2] = 0.8 + 0.05 * RNG.normal(size=(40, 2))
+    evidence[40:, :2] = 0.2 + 0.05 * RNG.normal(size=(20, 2))
+    own, filled = np.arange(40) % 2 == 0, np.arange(60) < 40
+    evidence[:40, 3] = np.where(own, 0.1, 0.4) + 0.02 * RNG.normal(size=40)
+    target = fit_decision.fit_logistic(evidence[filled], own)[0]
+    presence = fit_decision.fit_logistic(evidence, filled)[0]
+    found = fit_decision.score(target, presence, evidence) >= fit_decision.THRESHOLD
+    assert (target(evidence[~filled]) > 0).all() and (found[filled] == own).all() and not found[~filled].any()

@@ -11,9 +11,11 @@ import pytest
 
 import sonarjax as sj
 from experiments.common.drawn_piles import COUNT, pile_scenes
+from experiments.common.engine import engine
 from experiments.common.frames import observed, sonar_for
 from experiments.common.leaning import Leaning, _placed, rotation
 from experiments.common.sets import target
+from experiments.common.validation import empty_cases, scenes
 from experiments.common.walled import _seen, walled_cases
 from sonarjax.refine import in_view
 from sonarjax.scene import Pose
@@ -45,6 +47,20 @@ def test_a_leaning_object_floats_as_little_as_asked_and_both_sonars_look_at_it()
             assert 2.1 < math.hypot(float(seen.x), float(seen.y)) < 2.5
             assert abs(math.degrees(math.atan2(float(seen.y), float(seen.x)))) <= 4.0 + 1e-3
         assert sonars[1, 2] - sonars[0, 2] == pytest.approx(math.pi / 2)
+
+
+@pytest.mark.slow
+def test_neither_bare_floor_nor_noise_is_identified() -> None:
+    """Frames of another seed than those to which the rule was fitted, and noise that no sonar took."""
+    sonar, noise = sonar_for(20.0), np.random.default_rng(0)
+    recognizers = {name: sj.Recognizer(scene.target, sonar, engine=engine()) for name, scene in scenes().items()}
+    cases = empty_cases(1, 10, tilts_deg=(20.0,))
+    assert all((case.clean == 0.5).all() and not case.is_target for case in cases)
+    assert sum(recognizers[case.sought](case.image).identified for case in cases) <= 1
+    seek = recognizers["tower"]
+    assert not any(seek(noise.gamma(1.0, 0.1, sonar.shape).clip(0, 1)).identified for _ in range(3))
+    assert not any(seek(noise.random(sonar.shape)).identified for _ in range(3))
+    assert not seek(np.full(sonar.shape, 0.3)).identified
 
 
 @pytest.mark.slow

@@ -1,7 +1,7 @@
 """The decision about a refined match: logistic combinations of evidence, fitted to validation frames.
 
-One tells the target from other objects, the other tells objects from bare floor. A frame shows the target only if both say
-so, and the score is the smaller of both probabilities.
+One tells the target from other objects, the other tells objects from bare floor. A frame shows the target only if both
+say so, and the score is the smaller of both probabilities.
 """
 
 from __future__ import annotations
@@ -111,13 +111,10 @@ def read_rule(found: Any, name: str) -> IdentificationRule | None:
     if found is None:
         return None
     try:
-        numbers = (float(found[key]) for key in ("offset", "threshold", "false_alarms"))
-        presence = found.get("presence")
-        rule = IdentificationRule(
-            _weights(found),
-            *numbers,
-            None if presence is None else Presence(_weights(presence), float(presence["offset"])),
-        )
+        offset, threshold, alarms = (float(found[key]) for key in ("offset", "threshold", "false_alarms"))
+        there = found.get("presence")
+        presence = None if there is None else Presence(_weights(there), float(there["offset"]))
+        rule = IdentificationRule(_weights(found), offset, threshold, alarms, presence)
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise SonarjaxError(f"{name}: metadata: expected a `rule` with weights for {', '.join(EVIDENCE)}") from error
     parts = (rule,) if rule.presence is None else (rule, rule.presence)

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import math
+from dataclasses import replace
 
 import pytest
 
 from sonarjax.io import SonarjaxError
 from sonarjax.segment import EVIDENCE, IdentificationRule
-from sonarjax.segment.rule import read_rule
+from sonarjax.segment.rule import Presence, read_rule
 
 RULE = IdentificationRule(tuple(float(k) for k in range(len(EVIDENCE))), -1.5, 0.4, 0.05)
+PRESENCE = Presence((2.0, *(0.0 for _ in EVIDENCE[1:])), -1.0)
 
 
 def test_probability_is_logistic_in_the_evidence() -> None:
@@ -21,14 +24,36 @@ def test_probability_is_logistic_in_the_evidence() -> None:
     assert RULE.probability(evidence | {EVIDENCE[-1]: math.nan}) == 0.0
 
 
+def test_the_target_is_no_likelier_than_that_anything_is_shown() -> None:
+    rule = replace(RULE, presence=PRESENCE)
+    for fit in (-1.0, 0.2, 3.0):
+        evidence = dict.fromkeys(EVIDENCE, 0.1) | {"map_fit": fit}
+        there = 1 / (1 + math.exp(1.0 - 2.0 * fit))
+        assert PRESENCE.probability(evidence) == pytest.approx(there)
+        assert rule.probability(evidence) == pytest.approx(min(RULE.probability(evidence), there))
+    assert rule.probability(dict.fromkeys(EVIDENCE, 0.1) | {"map_fit": math.nan}) == 0.0
+
+
 def test_a_rule_comes_back_from_its_json() -> None:
-    assert read_rule(RULE.as_json(), "w.safetensors") == RULE
+    with_presence = replace(RULE, presence=PRESENCE)
+    for rule in (RULE, with_presence):
+        assert read_rule(json.loads(json.dumps(rule.as_json())), "w.safetensors") == rule
     assert read_rule(None, "w.safetensors") is None
 
 
 @pytest.mark.parametrize(
     "broken",
-    [[], {"weights": {}}, RULE.as_json() | {"offset": "x"}, RULE.as_json() | {"threshold": math.inf}, 3, "rule"],
+    [
+        [],
+        {"weights": {}},
+        RULE.as_json() | {"offset": "x"},
+        RULE.as_json() | {"threshold": math.inf},
+        3,
+        "rule",
+        RULE.as_json() | {"presence": {"weights": {}, "offset": 0.0}},
+        RULE.as_json() | {"presence": 1.0},
+        RULE.as_json() | {"presence": PRESENCE.as_json() | {"offset": math.nan}},
+    ],
 )
 def test_a_broken_rule_names_the_file(broken: object) -> None:
     with pytest.raises(SonarjaxError, match="w.safetensors: metadata: "):
