@@ -230,7 +230,7 @@ def _row(
     scores = {"auc": probability, "left_out": left_out, "bank": values.bank, "refined": values.refined}
     return {
         "count": len(own),
-        **{name: area(score[chosen], own) for name, score in scores.items()},
+        **{name: area(value[chosen], own) for name, value in scores.items()},
         "identified": float(said[own].mean()),
         "false_alarms": float(said[~own].mean()),
         "left_out_alarms": _alarms(left_out[chosen][~own]),

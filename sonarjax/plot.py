@@ -21,7 +21,7 @@ from matplotlib.patches import Patch
 from sonarjax.io.atomic import write_atomic
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.render import SonarFrame
-from sonarjax.sonar import Sonar
+from sonarjax.sonar import Sonar, range_edges_of
 
 HIGHLIGHT_COLOR = "#E69F00"  # orange
 SHADOW_COLOR = "#56B4E9"  # sky blue
@@ -57,7 +57,7 @@ def plot_polar(
     Raises:
         SonarjaxError: The image does not have the sonar's shape.
     """
-    azimuth, ranges = np.meshgrid(np.degrees(_azimuth_edges(sonar)), _range_edges(sonar))
+    azimuth, ranges = np.meshgrid(np.degrees(_azimuth_edges(sonar)), range_edges_of(sonar))
     mesh = _mesh(ax, azimuth, ranges, image, sonar, cmap, vmin, vmax)
     ax.set(xlabel="azimuth, to port [°]", ylabel="range [m]")
     ax.set_xlim(azimuth.max(), azimuth.min())
@@ -92,7 +92,7 @@ def plot_fan(
     Raises:
         SonarjaxError: The image does not have the sonar's shape.
     """
-    lateral, forward = _fan(*np.meshgrid(_azimuth_edges(sonar), _range_edges(sonar)))
+    lateral, forward = _fan(*np.meshgrid(_azimuth_edges(sonar), range_edges_of(sonar)))
     mesh = _mesh(ax, lateral, forward, image, sonar, cmap, vmin, vmax)
     ax.set(xlabel="lateral, to port [m]", ylabel="forward, slant range [m]")
     margin = 0.02 * float(np.ptp(forward))
@@ -223,7 +223,7 @@ def draw_outline(
         raise SonarjaxError(f"outline: expected a template inside {sonar.shape}, got {values.shape} at {offset}")
     if min(values.shape) < 2:
         return  # one row or column has no outline
-    edges = _range_edges(sonar)
+    edges = range_edges_of(sonar)
     ranges = (edges[1:] + edges[:-1])[row : row + height] / 2
     azimuth = np.asarray(sonar.azimuth, np.float64)[column : column + width]
     angle, distance = np.meshgrid(azimuth, ranges)
@@ -295,7 +295,3 @@ def _fan(
 
 def _azimuth_edges(sonar: Sonar) -> Float[np.ndarray, "beam_edge"]:
     return np.asarray(sonar.azimuth_edges, np.float64)
-
-
-def _range_edges(sonar: Sonar) -> Float[np.ndarray, "range_edge"]:
-    return np.linspace(float(sonar.range_min), float(sonar.range_max), sonar.n_ranges + 1)

@@ -75,8 +75,7 @@ def run(args: argparse.Namespace) -> int:
 def _axes_of(toml: str) -> PolarAxes:
     """Beams and range bins of the sonar in a file."""
     start_jax()
-    from sonarjax.sonar import Sonar
+    from sonarjax.sonar import Sonar, range_edges_of
 
     sonar = Sonar.from_toml(toml)
-    edges = np.linspace(float(sonar.range_min), float(sonar.range_max), sonar.n_ranges + 1)
-    return PolarAxes(np.asarray(sonar.azimuth, np.float64), edges)
+    return PolarAxes(np.asarray(sonar.azimuth, np.float64), range_edges_of(sonar))

@@ -30,7 +30,7 @@ from sonarjax.io import SonarjaxError, make_folder, write_atomic, write_text
 from sonarjax.render import check_fits
 from sonarjax.scene import Mesh, stack_meshes
 from sonarjax.sensor import SensorModel
-from sonarjax.sonar import Sonar
+from sonarjax.sonar import Sonar, range_edges_of
 
 SETTINGS, PARTS, SHEET, CARD = "dataset.json", "parts", "contact_sheet.png", "README.md"
 VERSION = 2
@@ -174,8 +174,7 @@ def _plan(
     for name, mesh in meshes.items():
         check_fits(mesh, sonar, name)
     azimuth = np.degrees(np.asarray(sonar.azimuth, np.float64))
-    edges = np.linspace(float(sonar.range_min), float(sonar.range_max), sonar.n_ranges + 1)
-    axes = Axes(azimuth, edges, tuple(meshes))
+    axes = Axes(azimuth, range_edges_of(sonar), tuple(meshes))
     data = np.asarray(jax.random.key_data(key))
     plain = jax.tree.map(lambda v: np.asarray(v, np.float32), sonar)
     return Plan(

@@ -8,7 +8,7 @@ import numpy as np
 
 from sonarjax.io.atomic import write_npz
 from sonarjax.render.frame import SonarFrame
-from sonarjax.sonar import Sonar
+from sonarjax.sonar import Sonar, range_edges_of
 
 
 def write_frame(path: str | os.PathLike[str], frame: SonarFrame, sonar: Sonar) -> None:
@@ -32,5 +32,5 @@ def write_frame(path: str | os.PathLike[str], frame: SonarFrame, sonar: Sonar) -
         shadow=np.asarray(frame.shadow),
         labels=np.asarray(frame.labels()),
         azimuth_deg=np.degrees(np.asarray(sonar.azimuth, np.float64)),
-        range_edges_m=np.linspace(float(sonar.range_min), float(sonar.range_max), sonar.n_ranges + 1),
+        range_edges_m=range_edges_of(sonar),
     )

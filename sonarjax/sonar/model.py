@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from sonarjax.io.errors import SonarjaxError
@@ -156,6 +157,18 @@ class Sonar:
         Inner edges lie midway between beam centres. An outer edge is as far from its centre as that beam's inner edge.
         """
         return beam_edges(self.azimuth, self.beam_width)
+
+
+def range_edges_of(sonar: Sonar) -> Float[np.ndarray, "range_edge"]:
+    """Compute the edges of the range bins on the host, in float64: what files and pictures take.
+
+    Args:
+        sonar: The sonar, not traced.
+
+    Returns:
+        Edges (range_edge,) [m], near to far.
+    """
+    return np.linspace(float(sonar.range_min), float(sonar.range_max), sonar.n_ranges + 1)
 
 
 def sonar_from_dict(table: Mapping[str, Any], source: str) -> Sonar:
