@@ -3,10 +3,10 @@
 python -m experiments.fit_decision [--segmenter FILE --into FILE] [--preset smoke] [--help]
 
 A logistic regression weighs the evidence of `sonarjax.refine.evidence`, its AUC also given with each object left out of
-the fit in turn; one half is its threshold. Another one tells frames with an object from frames of bare floor. `yaw_std`
-is corrected so that the errors are most likely. Validation frames show other objects and other devices than any test:
-see `experiments.common.validation`. `--piles` and `--walled` fit to more objects and to frames with walls in view, and
-did not carry over (docs/outside.md). What is found stands in the weights file's metadata, `sonarjax.segment.rule` and
+the fit in turn; one half is its threshold. Another one tells frames with an object from frames without, on open floor
+and in tanks. `yaw_std` is corrected so that the errors are most likely. Validation frames show other objects and other
+devices than any test: see `experiments.common.validation`. `--piles` fits to more objects, and did not carry over
+(docs/outside.md). What is found stands in the weights file's metadata, `sonarjax.segment.rule` and
 `sonarjax.refine.errorbar`.
 """
 
@@ -64,8 +64,10 @@ class Settings:
     """Show ten drawn piles too, beside the five objects."""
     empty: int = 120
     """Frames of bare floor."""
-    walled: int = 0
-    """Further frames, with the walls of a drawn tank in view."""
+    walled: int = 120
+    """Further frames, with the walls of a drawn tank in view. Only the rule for empty frames is fitted to them."""
+    empty_walled: int = 40
+    """Frames of such tanks without an object."""
     tilts_deg: tuple[float, ...] = TILTS_DEG
     """Tilts of the sonar [deg], of those of §4.1."""
     into: str = ""
@@ -91,36 +93,44 @@ class Measured:
     refined: np.ndarray
     """`score_refined`."""
 
+    def only(self, chosen: np.ndarray) -> Measured:
+        """The same of the `chosen` (frame,) frames."""
+        return Measured(**{name: values[chosen] for name, values in vars(self).items()})
+
 
 def run(settings: Settings, job: Job) -> Report:
     """The rule, the error bar, and what both reach."""
     of = scenes() | pile_scenes() if settings.piles else scenes()
     cases = validation_cases(job.seed, settings.count, tilts_deg=settings.tilts_deg, of=of)
     cases += walled_cases(job.seed, settings.walled)
-    every = [*cases, *empty_cases(job.seed, settings.empty, tilts_deg=settings.tilts_deg)]
-    found = job.map(lambda name: _measure(every, of, name), (settings.segmenter,), "segmenter")[settings.segmenter]
-    all_values = Measured(**{name: np.asarray(v, bool if name == "own" else float) for name, v in found.items()})
-    sought = np.array([case.sought for case in every])
-    facts = {"sought": sought, "shown": [case.shown for case in every], "odd": [case.odd for case in every]}
-    job.arrays("measured", **vars(all_values), **facts)
-    filled = np.arange(len(every)) < len(cases)
-    values = Measured(**{name: v[filled] for name, v in vars(all_values).items()})
-    odds, weights, offset = fit_logistic(values.evidence, values.own)
-    there, presence, start = fit_logistic(all_values.evidence, filled)
-    probability, empty = (score(odds, there, all_values.evidence[part]) for part in (filled, ~filled))
-    bar = fit_error_bar(values)
-    left_out = _left_out(all_values, filled, sought)
-    walls, odd = np.arange(len(cases)) >= settings.count, np.array([case.odd for case in cases])
-    families = {"any device": ~walls, "odd devices": odd & ~walls, "the family": ~odd & ~walls, "walls in view": walls}
+    cases += empty_cases(job.seed, settings.empty, tilts_deg=settings.tilts_deg)
+    cases += walled_cases(job.seed, settings.empty_walled, empty=True)
+    found = job.map(lambda name: _measure(cases, of, name), (settings.segmenter,), "segmenter")[settings.segmenter]
+    values = Measured(**{name: np.asarray(v, bool if name == "own" else float) for name, v in found.items()})
+    sought, odd = np.array([case.sought for case in cases]), np.array([case.odd for case in cases])
+    filled = np.array([case.shown != "nothing" for case in cases])
+    facts = {"sought": sought, "shown": [case.shown for case in cases], "odd": odd}
+    job.arrays("measured", **vars(values), **facts)
+    number = np.arange(len(cases))
+    plain = number < settings.count
+    walls = (number >= settings.count) & (number < settings.count + settings.walled)
+    floor = (number >= settings.count + settings.walled) & (number < len(cases) - settings.empty_walled)
+    odds, weights, offset = fit_logistic(values.evidence[plain], values.own[plain])
+    there, presence, start = fit_logistic(values.evidence, filled)
+    probability = score(odds, there, values.evidence)
+    bar = fit_error_bar(values.only(plain))
+    left_out = _left_out(values, plain, filled, sought)
     std = np.degrees(_std(bar, values))
+    families = {"any device": plain, "odd devices": plain & odd, "the family": plain & ~odd, "walls in view": walls}
     rows = [
-        {"frames": name} | _row(values, probability, left_out[filled], std, chosen)
+        {"frames": name} | _row(values, probability, left_out, std, chosen)
         for name, chosen in families.items()
         if values.own[chosen].any() and not values.own[chosen].all()
     ]
-    alarms = {"false_alarms": _alarms(empty), "left_out_alarms": _alarms(left_out[~filled])}
-    rows.append({"frames": "bare floor", "count": len(empty), **alarms})
-    false = _alarms(probability[~values.own])
+    for name, chosen in {"bare floor": floor, "tanks without an object": ~filled & ~floor}.items():
+        alarms = {"false_alarms": _alarms(probability[chosen]), "left_out_alarms": _alarms(left_out[chosen])}
+        rows.append({"frames": name, "count": int(chosen.sum()), **alarms})
+    false = _alarms(probability[plain & ~values.own])
     rule = {"weights": dict(zip(EVIDENCE, weights, strict=True)), "offset": offset}
     rule |= {"threshold": THRESHOLD, "false_alarms": false}
     rule |= {"presence": {"weights": dict(zip(EVIDENCE, presence, strict=True)), "offset": start}}
@@ -207,13 +217,16 @@ def _std(bar: ErrorBar, values: Measured) -> np.ndarray:
     return bar.std(np.radians(values.std_deg), values.drops[:, 0], values.drops[:, 1], left_over)
 
 
-def _left_out(values: Measured, filled: np.ndarray, sought: np.ndarray) -> np.ndarray:
-    """Scores (frame,) by a rule that was fitted without the object that is sought; `filled` frames show an object."""
+def _left_out(values: Measured, plain: np.ndarray, filled: np.ndarray, sought: np.ndarray) -> np.ndarray:
+    """Scores (frame,) by a rule that was fitted without the object that is sought.
+
+    The rule for targets is fitted to the `plain` frames, that for empty frames to all; `filled` frames show an object.
+    """
     scores, names = np.zeros(len(sought)), np.unique(sought)
     for name in names:
         inside = sought == name
         known = ~inside if len(names) > 1 else inside
-        target = fit_logistic(values.evidence[known & filled], values.own[known & filled])[0]
+        target = fit_logistic(values.evidence[known & plain], values.own[known & plain])[0]
         presence = fit_logistic(values.evidence[known], filled[known])[0]
         scores[inside] = score(target, presence, values.evidence[inside])
     return scores
@@ -255,4 +268,5 @@ def table(report: Report) -> str:
 
 
 if __name__ == "__main__":
-    launch(run, Settings, table, smoke={"count": 8, "empty": 4, "walled": 2, "segmenter": "none", "tilts_deg": (20.0,)})
+    small = {"count": 8, "empty": 4, "walled": 2, "empty_walled": 2}
+    launch(run, Settings, table, smoke=small | {"segmenter": "none", "tilts_deg": (20.0,)})

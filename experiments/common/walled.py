@@ -12,7 +12,7 @@ import numpy as np
 import sonarjax as sj
 from experiments.common.drawn_device import draw_device
 from experiments.common.frames import TILTS_DEG, VALIDATION_SEED
-from experiments.common.validation import ODD, SEVERITIES, Case, Scene, scenes, shown_in
+from experiments.common.validation import FAR_AWAY_M, ODD, SEVERITIES, Case, Scene, scenes, shown_in
 from sonarjax.sensor import SensorModel, observe_scene
 
 SIZES_M = (2.5, 1.2, 1.0), (6.0, 3.5, 2.5)
@@ -25,12 +25,15 @@ TURN_STD = math.radians(3.0)
 """Standard deviation of the angle between sonar and tank [rad]."""
 
 
-def walled_cases(seed: int, count: int) -> list[Case]:
-    """`count` frames as `validation_cases` draws them, but in a tank; they have no clean image."""
-    return [_case(number, seed) for number in range(count)]
+def walled_cases(seed: int, count: int, *, empty: bool = False) -> list[Case]:
+    """`count` frames as `validation_cases` draws them, but in a tank; they have no clean image.
+
+    If `empty`, the same tanks without an object; then no yaw is true.
+    """
+    return [_case(number, seed, empty) for number in range(count)]
 
 
-def _case(number: int, seed: int) -> Case:
+def _case(number: int, seed: int, empty: bool) -> Case:
     names = list(scenes())
     name, rest = names[number % len(names)], number // len(names)
     shown, tilt = shown_in(name, rest), TILTS_DEG[rest // 4 % len(TILTS_DEG)]
@@ -43,10 +46,10 @@ def _case(number: int, seed: int) -> Case:
     sonar = device.sonar.replace(floor=sj.FloorPatch(middle, 0.0, size[0], size[1], walls.yaw))
     model = jax.tree.map(jnp.float32, device.model)
     tank = sj.objects.tank((size[0], size[1], size[2]))
-    image = _seen()(device.mesh, device.start, tank, walls, sonar, model, jax.random.fold_in(key, 5))
-    return Case(
-        name, Scene._fields[shown], np.asarray(image), np.zeros((0, 0)), float(device.start.yaw), tilt, device.odd
-    )
+    place = sj.Pose(x=FAR_AWAY_M, y=0.0, yaw=0.0) if empty else device.start
+    image = _seen()(device.mesh, place, tank, walls, sonar, model, jax.random.fold_in(key, 5))
+    what, yaw = ("nothing", math.nan) if empty else (Scene._fields[shown], float(device.start.yaw))
+    return Case(name, what, np.asarray(image), np.zeros((0, 0)), yaw, tilt, device.odd)
 
 
 @cache

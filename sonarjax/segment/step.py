@@ -56,6 +56,8 @@ class GanConfig:
     """How the layers are computed, see `layers`."""
     learning_rate: float = 2e-4
     """Adam's step size."""
+    decay_steps: int = 0
+    """Steps over which the step size falls to 0 along half a cosine; 0 keeps it constant."""
     beta1: float = 0.5
     """Adam's decay of the mean gradient."""
     beta2: float = 0.999
@@ -90,7 +92,10 @@ class GanConfig:
 
     def optimiser(self) -> optax.GradientTransformation:
         """Adam, the same for both networks."""
-        return optax.adam(self.learning_rate, self.beta1, self.beta2)
+        rate: float | optax.Schedule = self.learning_rate
+        if self.decay_steps:
+            rate = optax.cosine_decay_schedule(self.learning_rate, self.decay_steps)
+        return optax.adam(rate, self.beta1, self.beta2)
 
 
 @record

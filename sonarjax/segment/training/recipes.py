@@ -153,6 +153,18 @@ PRESETS["paper"] = replace(
     batch=32,
     checkpoint_steps=2000,
 )
+# As `cpu`, many times as long: a GPU takes a large batch in hardly more time than a small one.
+PRESETS["gpu"] = replace(
+    PRESETS["cpu"],
+    name="gpu",
+    networks=replace(PRESETS["cpu"].networks, learning_rate=4e-4, decay_steps=40_960),
+    batch=64,
+    pairs=16_384,
+    passes=4,
+    sets=40,
+    checkpoint_steps=4096,
+    log_steps=64,
+)
 
 
 def find_recipe(preset: str | Recipe) -> Recipe:
