@@ -8,7 +8,7 @@ with `SONARJAX_COORDINATOR=host:port`, `SONARJAX_PROCESSES` and `SONARJAX_PROCES
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -63,14 +63,10 @@ def copied(mesh: Mesh) -> NamedSharding:
     return NamedSharding(mesh, PartitionSpec())
 
 
-def place_batches(batches: Sequence[Stored], mesh: Mesh) -> tuple[Array, Array]:
-    """Images and labels (step, pair, range, beam), the pairs split over the devices.
-
-    All processes hold the same `batches`.
-    """
-    split = NamedSharding(mesh, PartitionSpec(None, "batch"))
-    image, labels = (np.stack(layer) for layer in zip(*batches, strict=True))
-    return _placed(image, split), _placed(labels, split)
+def place_batch(pairs: Stored, mesh: Mesh) -> tuple[Array, Array]:
+    """Split images and labels over the devices; all processes hold the same `pairs`."""
+    split = NamedSharding(mesh, PartitionSpec("batch"))
+    return _placed(pairs.image, split), _placed(pairs.labels, split)
 
 
 def place_state(state: GanState, mesh: Mesh) -> GanState:
@@ -87,19 +83,12 @@ def local_copy(tree: Any) -> Any:
     return jax.tree.map(lambda v: v.addressable_data(0), tree)
 
 
-def make_steps(recipe: Recipe, mesh: Mesh) -> Callable[[GanState, Array, Array, Any], tuple[GanState, Losses]]:
-    """Training steps, one for each batch of a stack.
+def make_step(recipe: Recipe, mesh: Mesh) -> Callable[[GanState, Array, Array, Any], tuple[GanState, Losses]]:
+    """The compiled step: state (donated), images and labels as bytes, the run's key data → next state and losses."""
+    whole, split = copied(mesh), NamedSharding(mesh, PartitionSpec("batch"))
 
-    Several steps are one compiled loop: on a GPU, starting the small kernels of a step one by one from Python takes
-    longer than they run. A single step is two functions, which XLA compiles faster than one.
-
-    Returns:
-        A function of the state (donated), images and labels as bytes (step, pair, range, beam) and the run's key data.
-        It returns the next state and the losses of the last step.
-    """
-    whole, split = copied(mesh), NamedSharding(mesh, PartitionSpec(None, "batch"))
-
-    def gradients(state: GanState, image: Array, labels: Array, dropout: Any) -> Gradients:
+    @partial(jax.jit, in_shardings=(whole, split, split, whole), out_shardings=whole)
+    def take_gradients(state: GanState, image: Array, labels: Array, dropout: Any) -> Gradients:
         x = (image.astype(jnp.float32) / 127.5 - 1)[..., None]
         key = jax.random.fold_in(jax.random.wrap_key_data(dropout), state.step)
         if recipe.discriminative:
@@ -107,26 +96,11 @@ def make_steps(recipe: Recipe, mesh: Mesh) -> Callable[[GanState, Array, Array, 
         y = (labels == 1).astype(jnp.float32) - (labels == 2)
         return pix2pix_gradients(state, x, y[..., None], key=key)
 
-    @partial(jax.jit, in_shardings=(whole, split, split, whole), out_shardings=whole)
-    def first_gradients(state: GanState, images: Array, labels: Array, dropout: Any) -> Gradients:
-        return gradients(state, images[0], labels[0], dropout)
+    def step(state: GanState, image: Array, labels: Array, dropout: Any) -> tuple[GanState, Losses]:
+        gradients = take_gradients(state, image, labels, dropout)
+        return update(state, gradients), gradients.losses
 
-    @partial(jax.jit, in_shardings=(whole, split, split, whole), out_shardings=whole, donate_argnums=0)
-    def loop(state: GanState, images: Array, labels: Array, dropout: Any) -> tuple[GanState, Losses]:
-        def step(state: GanState, pairs: tuple[Array, Array]) -> tuple[GanState, Losses]:
-            found = gradients(state, *pairs, dropout)
-            return update(state, found), found.losses
-
-        state, losses = jax.lax.scan(step, state, (images, labels))
-        return state, jax.tree.map(lambda values: values[-1], losses)
-
-    def steps(state: GanState, images: Array, labels: Array, dropout: Any) -> tuple[GanState, Losses]:
-        if len(images) > 1:
-            return loop(state, images, labels, dropout)
-        found = first_gradients(state, images, labels, dropout)
-        return update(state, found), found.losses
-
-    return steps
+    return step
 
 
 def anywhere(happened: bool) -> bool:

@@ -31,8 +31,8 @@ from sonarjax.segment.training.devices import (
     device_mesh,
     join_processes,
     local_copy,
-    make_steps,
-    place_batches,
+    make_step,
+    place_batch,
     place_state,
 )
 from sonarjax.segment.training.evaluate import contact_sheet, predict_all, score
@@ -43,7 +43,6 @@ from sonarjax.segment.training.signals import StopWish
 from sonarjax.segment.weights import INPUT, save_generator
 
 WEIGHTS = "weights.safetensors"
-AT_ONCE = 8  # steps that an accelerator is given at once
 FIRST_WEIGHTS, DROPOUT = 11, 12  # folded into the seed's key; 1 to 3 are those of pairs
 
 
@@ -116,7 +115,7 @@ class _Run:
     def finish(self) -> TrainResult:
         """Train up to the last step, or until a stop is requested."""
         recipe, chief = self.recipe, jax.process_index() == 0
-        advance = make_steps(recipe, self.mesh)
+        advance = make_step(recipe, self.mesh)
         if self.step == recipe.steps:  # the run was killed after its last step
             self.metrics = self._judge()[0]
         with (
@@ -128,11 +127,10 @@ class _Run:
         ):  # fmt: skip
             started, first = time.perf_counter(), self.step
             while self.step < recipe.steps:
-                numbers = range(self.step, self.step + self._steps_at_once())
-                batches = place_batches([self.batches.batch(number) for number in numbers], self.mesh)
-                self.state, losses = advance(self.state, *batches, self.dropout)
-                self.step = numbers.stop
-                bar.update(len(numbers))
+                batch = place_batch(self.batches.batch(self.step), self.mesh)
+                self.state, losses = advance(self.state, *batch, self.dropout)
+                self.step += 1
+                bar.update()
                 if self._due(recipe.log_steps):
                     self.losses = self._look_at(losses)
                     rate = (self.step - first) * recipe.batch / (time.perf_counter() - started)
@@ -143,15 +141,6 @@ class _Run:
                     break
         finished = self.step == recipe.steps
         return TrainResult(self.step, finished, self.metrics, self._write_weights() if finished else None)
-
-    def _steps_at_once(self) -> int:
-        """Several on an accelerator, unless something is due before they are done; else one."""
-        if jax.default_backend() == "cpu":
-            return 1
-        recipe = self.recipe
-        marks = (recipe.log_steps, recipe.epoch_steps, recipe.checkpoint_steps, recipe.steps)
-        left = min(every - self.step % every for every in marks)
-        return AT_ONCE if left >= AT_ONCE else 1
 
     def _due(self, every: int) -> bool:
         return self.step % every == 0 or self.step % self.recipe.epoch_steps == 0
