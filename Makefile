@@ -34,7 +34,7 @@ test-all: test $(VENV)/.stamp-all
 	$(MAKE) smoke
 
 smoke: $(VENV)/.stamp-smoke
-	$(BIN)/python -m experiments --smoke
+	$(BIN)/python -m experiments --smoke --workers $(WORKERS)
 	$(BIN)/python -m notebooks.run
 
 reproduce: $(VENV)/.stamp-base

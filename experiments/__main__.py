@@ -1,7 +1,7 @@
 """What experiments are there, and does each still run?
 
 python -m experiments                        lists them: name and question
-python -m experiments --smoke [NAME ...]     runs each one's smoke preset, one after another, into a temporary folder
+python -m experiments --smoke [NAME ...]     runs each one's smoke preset into a temporary folder [--workers 2]
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
@@ -43,14 +44,16 @@ def smoke(name: str, runs: Path) -> tuple[str, str]:
     return ("skipped", said[0].removeprefix("skipped: ")) if said else ("ok", "")
 
 
-def smoke_all(names: Sequence[str]) -> list[str]:
-    """Run them, print a line each; returns the tails of what failed."""
+def smoke_all(names: Sequence[str], workers: int = 1) -> list[str]:
+    """Run them, `workers` at a time, print a line each; returns the tails of what failed."""
     failed, width = [], max(map(len, names))
-    with tempfile.TemporaryDirectory() as folder:
-        for name in names:
-            started = time.perf_counter()
-            state, text = smoke(name, Path(folder))
-            seconds = time.perf_counter() - started
+
+    def timed(name: str) -> tuple[str, str, float]:
+        started = time.perf_counter()
+        return *smoke(name, Path(folder)), time.perf_counter() - started
+
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(workers) as pool:
+        for name, (state, text, seconds) in zip(names, pool.map(timed, names), strict=True):
             print(f"{name:<{width}} {seconds:>6.1f} s  {state}{': ' + text if state == 'skipped' else ''}", flush=True)
             failed += [f"{name}:\n{text}"] if state == "failed" else []
     return failed
@@ -63,7 +66,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--smoke", nargs="*", metavar="NAME", help="run the smoke preset of these experiments, or of all"
     )
-    names = parser.parse_args(arguments).smoke
+    parser.add_argument(
+        "--workers", type=int, default=1, metavar="N", help="experiments that run at a time (default 1)"
+    )
+    options = parser.parse_args(arguments)
+    names = options.smoke
     if names is None:
         width = max(map(len, known))
         print("\n".join(f"{name:<{width}}  {question}" for name, question in known.items()))
@@ -71,7 +78,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     unknown = [name for name in names if name not in known]
     if unknown:
         parser.error(f"unknown experiment {unknown[0]!r}, expected some of: {', '.join(known)}")
-    failed = smoke_all(names or list(known))
+    if options.workers < 1:
+        parser.error(f"--workers: expected 1 or more, got {options.workers}")
+    failed = smoke_all(names or list(known), options.workers)
     if failed:
         print("\n" + "\n\n".join(failed), file=sys.stderr)
         raise SystemExit(1)
