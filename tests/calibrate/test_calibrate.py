@@ -54,9 +54,9 @@ def test_tilt_and_height_come_back_and_the_other_object_is_left_out(frames) -> N
 @pytest.mark.slow
 def test_frames_without_the_target_are_refused() -> None:
     """Speckle alone."""
-    noise = np.random.default_rng(0).gamma(1.0, 0.1, (3, *NOMINAL.shape)).astype(np.float32).clip(0, 1)
+    noise = np.random.default_rng(0).gamma(1.0, 0.1, (2, *NOMINAL.shape)).astype(np.float32).clip(0, 1)
     prior = {"tilt": 0.03, "height": 0.05}
-    with pytest.raises(sj.SonarjaxError, match=r"frames: the target was not found in any of the 3 frames"):
+    with pytest.raises(sj.SonarjaxError, match=r"frames: the target was not found in any of the 2 frames"):
         sj.calibrate(noise, sj.objects.target(), NOMINAL, prior=prior)
 
 
@@ -65,7 +65,7 @@ def test_where_the_target_is_known_to_be_no_frame_is_left_out(frames) -> None:
     """The other object among them is fitted too; without it tilt and height come back."""
     images, _ = frames
     options = {"prior": {"tilt": math.radians(3.0), "height": 0.05}, "present": True}
-    assert sj.calibrate(images, sj.objects.target(), NOMINAL, **options).used.all()
+    assert sj.calibrate(images[-2:], sj.objects.target(), NOMINAL, **options).used.all()
     found = sj.calibrate(images[:-1], sj.objects.target(), NOMINAL, **options)
     assert found.used.all()
     assert found.change[0] == pytest.approx(OFF[0], abs=math.radians(0.4))
