@@ -83,3 +83,13 @@ def test_frames_with_walls_are_drawn_again_by_their_seed() -> None:
     first, second, other = walled_cases(3, 2), walled_cases(3, 1), walled_cases(4, 1)
     assert np.array_equal(first[0].image, second[0].image)
     assert not np.array_equal(first[0].image, other[0].image)
+
+
+@pytest.mark.slow
+def test_tanks_without_an_object_are_the_same_tanks() -> None:
+    """The same device and walls: only the object and its shadow are gone, which is a small part of the frame."""
+    (filled,), (empty,) = walled_cases(3, 1), walled_cases(3, 1, empty=True)
+    assert (empty.shown, empty.sought, empty.tilt_deg) == ("nothing", filled.sought, filled.tilt_deg)
+    assert math.isnan(empty.yaw) and not empty.is_target
+    changed = np.abs(filled.image - empty.image) > 0.05
+    assert 0.001 < changed.mean() < 0.25
