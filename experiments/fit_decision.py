@@ -31,6 +31,7 @@ from experiments.common.runs import Job
 from experiments.common.scores import area
 from experiments.common.validation import Case, Scene, empty_cases, scenes, validation_cases
 from experiments.common.walled import walled_cases
+from sonarjax.io import SonarjaxError
 from sonarjax.io.safetensors import read_safetensors, write_safetensors
 from sonarjax.refine import ErrorBar
 from sonarjax.refine.errorbar import log_drop
@@ -99,7 +100,12 @@ class Measured:
 
 
 def run(settings: Settings, job: Job) -> Report:
-    """The rule, the error bar, and what both reach."""
+    """The rule, the error bar, and what both reach.
+
+    Raises SonarjaxError for settings that leave nothing to fit to.
+    """
+    if settings.count < 2 or settings.empty < 1:
+        raise SonarjaxError("--count, --empty: expected frames with an object (2 or more) and without (1 or more)")
     of = scenes() | pile_scenes() if settings.piles else scenes()
     cases = validation_cases(job.seed, settings.count, tilts_deg=settings.tilts_deg, of=of)
     cases += walled_cases(job.seed, settings.walled)

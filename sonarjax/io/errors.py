@@ -3,3 +3,7 @@
 
 class SonarjaxError(ValueError):
     """Input or output that cannot be used. The message is a single line that can be shown to a user."""
+
+
+class OutOfViewError(SonarjaxError):
+    """An object lies where the sonar does not see it. A search goes on at other distances."""

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.errors import OutOfViewError, SonarjaxError
 from sonarjax.match.compact import CompactBank, centred_on_host, window_scale
 from sonarjax.match.low_rank import Factors, combined, factors
 from sonarjax.match.ncc import MatchPositions
@@ -246,7 +246,7 @@ class FirstLook:
                 search.mesh, self.sonar, yaws, x=distance, size=search.size, quality=self.config.quality,
                 engine=self.engine,
             )  # fmt: skip
-        except SonarjaxError:  # the target is out of view at this distance
+        except OutOfViewError:
             return None
         row, column = (int(v) for v in np.asarray(bank.offset))
         templates = np.asarray(bank.templates)

@@ -15,7 +15,7 @@ import jax
 import numpy as np
 
 from sonarjax.engine import PLAIN, Engine
-from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.errors import OutOfViewError, SonarjaxError
 from sonarjax.match.compact import CompactBank, match_compact
 from sonarjax.match.ncc import PreparedBank, match_positions, prepare_bank
 from sonarjax.render import (
@@ -234,7 +234,7 @@ class TargetSearch:
             frame = self.sonar.n_ranges // config.decimation, self.sonar.n_beams
             templates = rounded_up(decimated(np.asarray(bank.templates), config.decimation), frame)
             return _Entry(bank, prepare_bank(templates, frame, masked=masked))
-        except SonarjaxError:
+        except OutOfViewError:
             return None
 
     def _nearest(self, match: Match) -> int:

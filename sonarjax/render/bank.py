@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from sonarjax.engine import PLAIN, Engine
-from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.errors import OutOfViewError, SonarjaxError
 from sonarjax.records import record
 from sonarjax.render.frame import RenderQuality
 from sonarjax.render.region import (
@@ -105,8 +105,8 @@ def template_bank(
         The bank, with templates (yaw, range, beam).
 
     Raises:
-        SonarjaxError: `yaws` is empty or not finite; z, roll or pitch is not finite or has another length than `yaws`;
-            or the object is outside the sonar's view.
+        SonarjaxError: `yaws` is empty or not finite; or z, roll or pitch is not finite or has another length.
+        OutOfViewError: The object is outside the sonar's view.
     """
     yaws = np.atleast_1d(np.asarray(yaws, np.float32))
     if yaws.ndim != 1 or yaws.size == 0 or not np.isfinite(yaws).all():
@@ -119,7 +119,7 @@ def template_bank(
     images, (row, column) = views.images, views.corner
     box = _touched_box(images)
     if box is None:
-        raise SonarjaxError(f"template bank: an object at x {x:.2f} m, y {y:.2f} m is outside the sonar's view")
+        raise OutOfViewError(f"template bank: an object at x {x:.2f} m, y {y:.2f} m is outside the sonar's view")
     first, last = box
     top, left = max(first[0] - margin[0], 0), max(first[1] - margin[1], 0)
     bottom, right = min(last[0] + margin[0], size.shape[0] - 1), min(last[1] + margin[1], size.shape[1] - 1)
