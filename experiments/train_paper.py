@@ -47,7 +47,7 @@ SMALL = {"pairs": 16, "passes": 2, "validation_pairs": 8, "checkpoint_steps": 4}
 class Settings:
     """What is trained."""
 
-    recipe: Literal["paper-cpu", "paper", "cpu"] = "paper-cpu"
+    recipe: Literal["paper-cpu", "paper", "cpu", "gpu"] = "paper-cpu"
     """Whose networks and pairs; see `sonarjax train`."""
     alone: bool = False
     """By cross-entropy alone, as the paper's 'discriminative model'."""
