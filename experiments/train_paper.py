@@ -1,11 +1,11 @@
-"""How good do the paper's two networks get? Eq. 3 alone, 30 epochs of the 6,780 pairs of §3.1, at width 16.
+"""How good do the paper's two networks get? Eq. 3 alone, 30 epochs of the 6,780 pairs of §3.1.
 
 python -m experiments.train_paper [--seeds 0 1 2] [--preset smoke] [--help]
 python -m experiments.train_paper --recipe cpu --alone       the 'discriminative model' of §2.2
 
 `--into experiments/paper-cpu.safetensors` made the file beside this script, from seed 0; its threshold is that of
-`fit_threshold`. The second command's weights are `discriminative.safetensors`: the U-Net on the pairs of the shipped
-network, by cross-entropy alone. An interrupted training goes on from its last checkpoint.
+`fit_threshold`. The second command trains the U-Net by cross-entropy alone; `discriminative.safetensors` is such a
+network, of the pairs that the recipe `cpu` had before. An interrupted training goes on from its last checkpoint.
 """
 
 from __future__ import annotations

@@ -52,7 +52,7 @@ SETTINGS["glossary.md"] = SETTINGS["renderer.md"] = {"0.5"}
 SETTINGS["training.md"] = {"3.1"}  # the paper's section
 SETTINGS["export.md"] = {"0.5", "0.17"}  # the background's grey, and a version
 SETTINGS["track.md"] = {"68 %"}  # what one standard deviation holds
-SETTINGS["outside.md"] = {"0.75", "95 %"}  # least grey of highlight, and a bootstrap's interval
+SETTINGS["outside.md"] = {"0.75", "1.5", "68 %", "95 %"}  # least grey of highlight, a severity, a normal's shares
 
 
 def typed_numbers(text: str) -> set[str]:

@@ -1,7 +1,7 @@
 """The decision about a refined match: logistic combinations of evidence, fitted to validation frames.
 
-One tells the target from other objects, the other tells objects from bare floor. A frame shows the target only if both
-say so, and the score is the smaller of both probabilities.
+One tells the target from other objects, the other tells objects from bare floor and empty tanks. A frame shows the
+target only if both say so, and the score is the smaller of both probabilities.
 """
 
 from __future__ import annotations
