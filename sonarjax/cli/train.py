@@ -16,8 +16,8 @@ def add(commands: Any) -> None:
     command.add_argument(
         "--preset", choices=("smoke", "cpu", "paper-cpu", "paper", "gpu"), required=True,
         help="smoke: a short test run; cpu: the recipe of the shipped weights, shorter; paper-cpu: the paper's recipe "
-        "(eq. 3 alone, 30 epochs) at width 16; paper: the same at full width, for a GPU; gpu: the recipe of the shipped "
-        "weights",
+        "(eq. 3 alone, 30 epochs) at width 16; paper: the same at full width, for a GPU; gpu: the recipe of the "
+        "shipped weights",
     )  # fmt: skip
     command.add_argument(
         "--run-dir", metavar="RUN", required=True,
