@@ -45,6 +45,8 @@ ASTRAY_DEG = 30.0
 """Yaw errors beyond it are of another hypothesis: no error bar is fitted to them."""
 BAR_RIDGE = 2.0
 """Weight of the squared coefficients of what error bars are made of, standardised [1]."""
+OPEN, WALLED, FLOOR, TANKS = "any device", "walls in view", "bare floor", "tanks without an object"
+"""Frames of an object on open floor and in a tank, and of neither."""
 HEADS = {
     "frames": "frames of", "count": "count", "auc": "AUC", "left_out": "AUC, object left out",
     "bank": "AUC of score_bank", "refined": "AUC of score_refined",
@@ -107,35 +109,30 @@ def run(settings: Settings, job: Job) -> Report:
     if settings.count < 2 or settings.empty < 1:
         raise SonarjaxError("--count, --empty: expected frames with an object (2 or more) and without (1 or more)")
     of = scenes() | pile_scenes() if settings.piles else scenes()
-    cases = validation_cases(job.seed, settings.count, tilts_deg=settings.tilts_deg, of=of)
-    cases += walled_cases(job.seed, settings.walled)
-    cases += empty_cases(job.seed, settings.empty, tilts_deg=settings.tilts_deg)
-    cases += walled_cases(job.seed, settings.empty_walled, empty=True)
+    groups = _draw(settings, job.seed, of)
+    cases = [case for group in groups.values() for case in group]
+    shown = np.repeat(list(groups), [len(group) for group in groups.values()])
     found = job.map(lambda name: _measure(cases, of, name), (settings.segmenter,), "segmenter")[settings.segmenter]
     values = Measured(**{name: np.asarray(v, bool if name == "own" else float) for name, v in found.items()})
     sought, odd = np.array([case.sought for case in cases]), np.array([case.odd for case in cases])
-    filled = np.array([case.shown != "nothing" for case in cases])
-    facts = {"sought": sought, "shown": [case.shown for case in cases], "odd": odd}
-    job.arrays("measured", **vars(values), **facts)
-    number = np.arange(len(cases))
-    plain = number < settings.count
-    walls = (number >= settings.count) & (number < settings.count + settings.walled)
-    floor = (number >= settings.count + settings.walled) & (number < len(cases) - settings.empty_walled)
+    job.arrays("measured", **vars(values), sought=sought, shown=[case.shown for case in cases], odd=odd)
+    plain, filled = shown == OPEN, np.isin(shown, (OPEN, WALLED))
     odds, weights, offset = fit_logistic(values.evidence[plain], values.own[plain])
     there, presence, start = fit_logistic(values.evidence, filled)
     probability = score(odds, there, values.evidence)
     bar = fit_error_bar(values.only(plain))
     left_out = _left_out(values, plain, filled, sought)
     std = np.degrees(_std(bar, values))
-    families = {"any device": plain, "odd devices": plain & odd, "the family": plain & ~odd, "walls in view": walls}
+    families = {OPEN: plain, "odd devices": plain & odd, "the family": plain & ~odd, WALLED: shown == WALLED}
     rows = [
         {"frames": name} | _row(values, probability, left_out, std, chosen)
         for name, chosen in families.items()
         if values.own[chosen].any() and not values.own[chosen].all()
     ]
-    for name, chosen in {"bare floor": floor, "tanks without an object": ~filled & ~floor}.items():
-        alarms = {"false_alarms": _alarms(probability[chosen]), "left_out_alarms": _alarms(left_out[chosen])}
-        rows.append({"frames": name, "count": int(chosen.sum()), **alarms})
+    for name in (FLOOR, TANKS):
+        if (chosen := shown == name).any():
+            alarms = {"false_alarms": _alarms(probability[chosen]), "left_out_alarms": _alarms(left_out[chosen])}
+            rows.append({"frames": name, "count": int(chosen.sum()), **alarms})
     false = _alarms(probability[plain & ~values.own])
     rule = {"weights": dict(zip(EVIDENCE, weights, strict=True)), "offset": offset}
     rule |= {"threshold": THRESHOLD, "false_alarms": false}
@@ -144,6 +141,17 @@ def run(settings: Settings, job: Job) -> Report:
         arrays, about = read_safetensors(settings.into)
         write_safetensors(settings.into, arrays, about | {"rule": rule})
     return {"rule": rule, "error_bar": bar._asdict(), "rows": rows}
+
+
+def _draw(settings: Settings, seed: int, of: dict[str, Scene]) -> dict[str, list[Case]]:
+    """The frames, by what they show."""
+    tilts = settings.tilts_deg
+    return {
+        OPEN: validation_cases(seed, settings.count, tilts_deg=tilts, of=of),
+        WALLED: walled_cases(seed, settings.walled),
+        FLOOR: empty_cases(seed, settings.empty, tilts_deg=tilts),
+        TANKS: walled_cases(seed, settings.empty_walled, empty=True),
+    }
 
 
 def _measure(cases: list[Case], of: dict[str, Scene], segmenter: str) -> dict[str, Any]:

@@ -39,7 +39,7 @@ HEADS = {
     "psnr_db": "PSNR [dB]",
     "psnr_gain_db": "gain [dB]",
 }
-SMALL = {"pairs": 16, "passes": 2, "validation_pairs": 8, "checkpoint_steps": 4}
+SMALL = {"batch": 4, "pairs": 16, "passes": 2, "sets": 1, "validation_pairs": 8, "checkpoint_steps": 4}
 """What the smoke preset changes in the recipe, beside the width."""
 
 

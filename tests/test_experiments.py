@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import threading
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -319,6 +320,17 @@ def test_smoke_tells_of_each_and_fails_when_one_does(
     listing.main(["--smoke", "yaw_basin"])
     with pytest.raises(SystemExit) as left:
         listing.main(["--smoke", "nonsense"])
+    assert left.value.code == 2
+
+
+def test_workers_run_smoke_presets_at_a_time(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+    """Each of two waits until the other runs too; lines come in the order of the names."""
+    both = threading.Barrier(2, timeout=60)
+    monkeypatch.setattr(listing, "smoke", lambda name, folder: ("ok", str(both.wait())))
+    listing.main(["--smoke", "yaw_basin", "bench_match", "--workers", "2"])
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == ["yaw_basin", "bench_match"]
+    with pytest.raises(SystemExit) as left:
+        listing.main(["--smoke", "yaw_basin", "--workers", "0"])
     assert left.value.code == 2
 
 

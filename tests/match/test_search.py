@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from types import ModuleType
 from typing import Any
 
 import pytest
 
 import sonarjax as sj
 from sonarjax.io.errors import OutOfViewError
-from sonarjax.match import search as module
+from sonarjax.match import first_look, search
+from sonarjax.match.first_look import FirstLook
 from sonarjax.match.search import TargetSearch
 
 SONAR = sj.Sonar.preset("didson-hf", tilt=math.radians(20.0))
@@ -22,11 +25,28 @@ def failing(error: Exception) -> Any:
     return template_bank
 
 
-def test_only_a_target_that_is_out_of_view_is_passed_over(monkeypatch: pytest.MonkeyPatch) -> None:
+def brick() -> TargetSearch:
+    return TargetSearch(sj.objects.brick(), SONAR, compact=True)
+
+
+@pytest.mark.parametrize(
+    ("module", "look"),
+    [
+        (search, lambda: brick()._render(2.5, False, False)),
+        (first_look, lambda: FirstLook([brick()])._view(brick(), 2.5)),
+    ],
+)
+def test_only_a_target_that_is_out_of_view_is_passed_over(
+    module: ModuleType, look: Callable[[], Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Any other complaint, such as of a slice without room, is not mistaken for it."""
-    search = TargetSearch(sj.objects.brick(), SONAR)
     monkeypatch.setattr(module, "template_bank", failing(OutOfViewError("far away")))
-    assert search._render(2.5, False, False) is None
+    assert look() is None
     monkeypatch.setattr(module, "template_bank", failing(sj.SonarjaxError("no room")))
     with pytest.raises(sj.SonarjaxError, match="no room"):
-        search._render(2.5, False, False)
+        look()
+
+
+def test_a_bank_says_that_its_object_is_out_of_view() -> None:
+    with pytest.raises(OutOfViewError, match="an object at x 50.00 m, y 0.00 m is outside the sonar's view"):
+        sj.template_bank(sj.objects.brick(), SONAR, [0.0], x=50.0)

@@ -116,8 +116,8 @@ PRESETS: dict[str, Recipe] = {
         checkpoint_steps=4,
         log_steps=1,
     ),
-    # What ships, in a form for two cores. Cross-entropy in addition to eq. 3 makes the network choose a
-    # class for each pixel; the distance alone tolerates a grey between two classes.
+    # As what ships, shorter, for two cores. Cross-entropy in addition to eq. 3 makes the network choose a class for
+    # each pixel; the distance alone tolerates a grey between two classes.
     "cpu": Recipe(
         name="cpu",
         networks=GanConfig(
