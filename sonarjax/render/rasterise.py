@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 
 import jax
@@ -9,13 +10,18 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
+from sonarjax.exact import full_precision
+
+ROWS = 32
+"""Range bins that are taken at a time on a CPU."""
 FEW = 2  # up to this many sums over the items are computed each by itself, which needs no array of all overlaps
 
 
 def covered(
-    middle: Float[Array, "slab 2 item"], half: Float[Array, "slab 2 item"], present: Bool[Array, "slab item"], rows: int
-) -> Float[Array, "slab range"]:
-    """Share (slab, `rows`) of each range bin that the items' spans cover, at most 1.
+    middle: Float[Array, "slab 2 item"], half: Float[Array, "slab 2 item"], present: Bool[Array, "slab item"],
+    beams: Float[Array, "beam slab"], rows: int,
+) -> Float[Array, "range beam"]:  # fmt: skip
+    """Share (`rows`, beam) of each pixel that the items' spans cover, at most 1 in each slab.
 
     Exact for a single span whose ends move linearly across the slab: the mean over the slab of the clipped overlap.
 
@@ -23,52 +29,108 @@ def covered(
         middle: Near and far end (slab, 2, item) [bins] of each span in the middle of the slab.
         half: How far each end moves [bins] from the middle of the slab to its edge.
         present: Which items (slab, item) exist.
+        beams: Share of each beam that a slab fills (beam, slab).
         rows: Number of range bins.
     """
-    return jnp.clip(weighted(middle, half, present[..., None].astype(jnp.float32), rows)[:, 0], 0.0, 1.0)
+    return rasterised(middle, half, present[..., None].astype(jnp.float32), beams, rows, _share)[0]
 
 
 def covered_by_each(
     middle: Float[Array, "slab 2 item"],
     half: Float[Array, "slab 2 item"],
     present: Bool[Array, "slab item"],
+    beams: Float[Array, "beam slab"],
     rows: int,
     owner: Int[Array, "slab item"],
     owners: int,
-) -> tuple[Float[Array, "slab range"], Float[Array, "owner slab range"]]:
-    """As `covered`, and the same share (owner, slab, `rows`) of the items of each `owner` (slab, item), 0 and on."""
+) -> tuple[Float[Array, "range beam"], Float[Array, "owner range beam"]]:
+    """As `covered`, and the same share (owner, `rows`, beam) of the items of each `owner` (slab, item), 0 and on."""
     own = present[..., None] & (owner[..., None] == jnp.arange(owners))
-    parts = jnp.moveaxis(weighted(middle, half, own.astype(jnp.float32), rows), 1, 0)
-    return jnp.clip(parts.sum(axis=0), 0.0, 1.0), jnp.clip(parts, 0.0, 1.0)
+
+    def together_and_apart(sums: Float[Array, "slab owner bin"]) -> Float[Array, "slab layer bin"]:
+        return _share(jnp.concatenate([sums.sum(axis=1, keepdims=True), sums], axis=1))
+
+    layers = rasterised(middle, half, own.astype(jnp.float32), beams, rows, together_and_apart)
+    return layers[0], layers[1:]
 
 
 def covered_and_spread(
     middle: Float[Array, "slab 2 item"],
     half: Float[Array, "slab 2 item"],
     present: Bool[Array, "slab item"],
+    beams: Float[Array, "beam slab"],
     rows: int,
     density: Float[Array, "slab item"],
-) -> tuple[Float[Array, "slab range"], Float[Array, "slab range"]]:
-    """As `covered`, and the sum (slab, `rows`) over items of `density` times the share of each bin that they cover.
+) -> tuple[Float[Array, "range beam"], Float[Array, "range beam"]]:
+    """As `covered`, and as `spread`."""
 
-    `density` carries no gradient.
-    """
-    sums = weighted(middle, half, jnp.stack([present.astype(jnp.float32), density], axis=-1), rows)
-    return jnp.clip(sums[:, 0], 0.0, 1.0), sums[:, 1]
+    def both(sums: Float[Array, "slab 2 bin"]) -> Float[Array, "slab 2 bin"]:
+        return jnp.concatenate([_share(sums[:, :1]), jnp.maximum(sums[:, 1:], 0.0)], axis=1)
+
+    weights = jnp.stack([present.astype(jnp.float32), density], axis=-1)
+    share, echo = rasterised(middle, half, weights, beams, rows, both)
+    return share, echo
 
 
-def weighted(
-    middle: Float[Array, "slab 2 item"], half: Float[Array, "slab 2 item"], weights: Float[Array, "slab item sum"],
+def spread(
+    middle: Float[Array, "slab 2 item"],
+    half: Float[Array, "slab 2 item"],
+    beams: Float[Array, "beam slab"],
     rows: int,
-) -> Float[Array, "slab sum range"]:  # fmt: skip
-    """Sums over items of `weights` times the share of each range bin that the item's span covers.
+    density: Float[Array, "slab item"],
+) -> Float[Array, "range beam"]:
+    """Sum (`rows`, beam) over items of `density` times the share of each pixel that they cover; at least 0.
 
-    `weights` carry no gradient. An item whose weights are all zero does not count, whatever its ends are. The other
-    arguments are as in `covered`.
+    `density` carries no gradient. An item without any does not count, whatever its ends are. The other arguments are
+    as in `covered`.
     """
-    counts = (weights != 0).any(axis=-1)[:, None]
-    middle, half = (jnp.where(counts, ends, 0.0) for ends in (middle, half))
-    return jnp.diff(_below(middle, half, stop_gradient(weights), rows), axis=-1)
+    return rasterised(middle, half, density[..., None], beams, rows, lambda sums: jnp.maximum(sums, 0.0))[0]
+
+
+def _share(sums: Float[Array, "slab sum bin"]) -> Float[Array, "slab sum bin"]:
+    return jnp.clip(sums, 0.0, 1.0)
+
+
+def rasterised(
+    middle: Float[Array, "slab 2 item"], half: Float[Array, "slab 2 item"], weights: Float[Array, "slab item sum"],
+    beams: Float[Array, "beam slab"], rows: int, finish: Callable[[Array], Array],
+) -> Float[Array, "layer range beam"]:  # fmt: skip
+    """Sums over items of `weights` times the share of each range bin that the item's span covers, then `finish`ed in
+    each slab and averaged over the slabs of a beam.
+
+    `weights` carry no gradient. An item whose weights are all zero does not count, whatever its ends are.
+
+    On a CPU the range bins are taken `ROWS` at a time, and those that no span touches are skipped: an object's echo
+    is a small part of its window.
+    """
+    counts = (weights != 0).any(axis=-1)
+    middle, half = (jnp.where(counts[:, None], ends, 0.0) for ends in (middle, half))
+    weights, size = stop_gradient(weights), ROWS if jax.default_backend() == "cpu" else rows
+    first = jnp.arange(0, rows, size)
+
+    def some_rows(first: Array) -> Float[Array, "layer bin beam"]:
+        return _per_beam(beams, finish(jnp.diff(_below(middle - first, half, weights, size), axis=-1)))
+
+    nothing = jax.eval_shape(some_rows, first[0])
+    touched = _touched(middle, half, counts, first, size)
+    layers = jax.lax.map(
+        lambda at: jax.lax.cond(at[1], some_rows, lambda _: jnp.zeros(nothing.shape), at[0]), (first, touched)
+    )
+    return jnp.moveaxis(layers, 0, 1).reshape(nothing.shape[0], -1, len(beams))[:, :rows]
+
+
+def _touched(middle: Array, half: Array, counts: Array, first: Int[Array, "part"], size: int) -> Bool[Array, "part"]:
+    """Which parts of `size` range bins, from `first` on, any span touches."""
+    reach, part = _at_least(half)[..., 0], first[:, None, None]
+    near, far = middle[:, 0] - reach[:, 0], middle[:, 1] + reach[:, 1]
+    return stop_gradient((counts & (near < part + size) & (far > part)).any(axis=(1, 2)))
+
+
+@full_precision
+def _per_beam(
+    beams: Float[Array, "beam slab"], values: Float[Array, "slab layer bin"]
+) -> Float[Array, "layer bin beam"]:
+    return jnp.einsum("bs,slr->lrb", beams, values)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(3,))

@@ -7,7 +7,6 @@ The stages, each in its own file: azimuth slabs (`slabs`); the triangles that ea
 
 from __future__ import annotations
 
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -21,7 +20,7 @@ from sonarjax.render.energy import floor_energy, floor_lit, object_energy
 from sonarjax.render.frame import RenderQuality, SonarFrame, Window
 from sonarjax.render.materialise import materialised
 from sonarjax.render.platform import platform_lit, platform_span
-from sonarjax.render.rasterise import covered, covered_and_spread, covered_by_each, weighted
+from sonarjax.render.rasterise import covered, covered_and_spread, covered_by_each, spread
 from sonarjax.render.segments import Segments, View, cut
 from sonarjax.render.slabs import Slabs, event_azimuths, make_slabs
 from sonarjax.render.spans import (
@@ -139,7 +138,7 @@ def render_window(mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, quality:
 def render_afloat(mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, quality: RenderQuality) -> SonarFrame:
     """As `render_window` for an object without a floor in view: no floor energy, and no shadow."""
     seen = _look(mesh, None, pose, sonar, window, quality)
-    highlight = _per_beam(seen.slabs, covered(*seen.echo_spans, seen.visible.spans.echo_spans, window.shape[0]))
+    highlight = covered(*seen.echo_spans, seen.visible.spans.echo_spans, seen.slabs.weights, window.shape[0])
     echo = jnp.maximum(_echo(seen, mesh, quality), 0.0)
     return SonarFrame(echo, highlight, jnp.zeros_like(highlight), highlight > 0.5, seen.visible.overflow, sonar)
 
@@ -168,13 +167,14 @@ def render_objects(
     def told_apart() -> tuple[tuple[Array, Array], Array, ObjectLayers]:
         spans, owner = seen.visible.spans, objects.owner[jnp.maximum(seen.visible.spans.ends.surface, 0)]
         n_echo, n_occluded = spans.echo_spans.shape[1], spans.occluded_spans.shape[1]
-        echo = (spans.echo_spans, rows, owner[:, :n_echo], objects.total)
-        occluded = (spans.occluded_spans, rows, owner[:, 2 * n_echo : 2 * n_echo + n_occluded], objects.total)
-        shown, highlights = covered_by_each(*seen.echo_spans, *echo)
-        hidden, shadows = covered_by_each(*seen.occluded_spans, *occluded)
-        shares = _per_beam(seen.slabs, shown), _per_beam(seen.slabs, hidden)
-        per_beam = jax.vmap(partial(_per_beam, seen.slabs))
-        return shares, jnp.zeros((rows, beams)), ObjectLayers(per_beam(highlights), per_beam(shadows))
+        occluded = slice(2 * n_echo, 2 * n_echo + n_occluded)  # of all ends, those are the spans' lower ones
+
+        def by_owner(ends: tuple[Array, Array], present: Array, owner: Array) -> tuple[Array, Array]:
+            return covered_by_each(*ends, present, seen.slabs.weights, rows, owner, objects.total)
+
+        shown, highlights = by_owner(seen.echo_spans, spans.echo_spans, owner[:, :n_echo])
+        hidden, shadows = by_owner(seen.occluded_spans, spans.occluded_spans, owner[:, occluded])
+        return (shown, hidden), jnp.zeros((rows, beams)), ObjectLayers(highlights, shadows)
 
     def together() -> tuple[tuple[Array, Array], Array, ObjectLayers]:
         none = jnp.zeros((objects.total, rows, beams))
@@ -218,10 +218,9 @@ def _look(
 
 def _shares(seen: _Seen) -> tuple[Float[Array, "range beam"], Float[Array, "range beam"]]:
     """Highlight and shadow, each (range, beam)."""
-    spans, rows = seen.visible.spans, len(seen.edges) - 1
-    shown = covered(*seen.echo_spans, spans.echo_spans, rows)
-    hidden = covered(*seen.occluded_spans, spans.occluded_spans, rows)
-    return _per_beam(seen.slabs, shown), _per_beam(seen.slabs, hidden)
+    spans, pixels = seen.visible.spans, (seen.slabs.weights, len(seen.edges) - 1)
+    shown = covered(*seen.echo_spans, spans.echo_spans, *pixels)
+    return shown, covered(*seen.occluded_spans, spans.occluded_spans, *pixels)
 
 
 def _echo(seen: _Seen, mesh: Mesh, quality: RenderQuality) -> Float[Array, "range beam"]:
@@ -283,17 +282,16 @@ def render_echo(
         Layers of the window, each (range, beam): `echo` [rad], `highlight` and `shadow` [1].
     """
     seen = _look(mesh, None, pose, sonar, window, quality, jnp.asarray(by_facet))
-    spans, shown, rows = seen.visible.spans, seen.echo_spans, window.shape[0]
+    spans, shown, pixels = seen.visible.spans, seen.echo_spans, (seen.slabs.weights, window.shape[0])
     length = stop_gradient(shown[0][:, 1] - shown[0][:, 0])
     density = jnp.where(spans.echo_spans, spans.angle / jnp.maximum(length, 1.0), 0.0)
 
     def all_three() -> EchoLayers:
-        highlight, echo = covered_and_spread(*shown, spans.echo_spans, rows, density)
-        shadow = covered(*seen.occluded_spans, spans.occluded_spans, rows)
-        return EchoLayers(*(_per_beam(seen.slabs, v) for v in (jnp.maximum(echo, 0.0), highlight, shadow)))
+        highlight, echo = covered_and_spread(*shown, spans.echo_spans, *pixels, density)
+        return EchoLayers(echo, highlight, covered(*seen.occluded_spans, spans.occluded_spans, *pixels))
 
     def echo_alone() -> EchoLayers:
-        echo = _per_beam(seen.slabs, jnp.maximum(weighted(*shown, density[..., None], rows)[:, 0], 0.0))
+        echo = spread(*shown, *pixels, density)
         return EchoLayers(echo, jnp.zeros_like(echo), jnp.zeros_like(echo))
 
     return jax.lax.cond(jnp.asarray(shares), all_three, echo_alone)

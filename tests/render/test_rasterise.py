@@ -7,9 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sonarjax.render.rasterise import covered, covered_and_spread, covered_by_each, ramp, weighted
+from sonarjax.render.rasterise import covered, covered_and_spread, covered_by_each, ramp, rasterised, spread
 
-ROWS, SLABS, ITEMS, OWNERS = 24, 5, 4, 3
+ROWS, SLABS, ITEMS, OWNERS = 80, 5, 4, 3
+EACH = jnp.eye(SLABS)
+"""Every slab is a beam of its own."""
 STEPS = 400
 """Points of a bin, and azimuths of a slab, that are counted."""
 
@@ -26,21 +28,23 @@ def spans(rng):
 
 
 def counted(middle: np.ndarray, half: np.ndarray, present: np.ndarray) -> np.ndarray:
-    """Share (slab, range) of each bin that all intervals of a slab cover together, by counting."""
-    shares = np.zeros((SLABS, ROWS))
+    """Share (range, slab) of each bin that all intervals of a slab cover together, by counting."""
+    shares = np.zeros((ROWS, SLABS))
     at = (np.arange(STEPS) + 0.5) / STEPS
     for slab in range(SLABS):
         for item in np.flatnonzero(present[slab]):
             ends = middle[slab, :, item] + (2 * at[:, None] - 1) * half[slab, :, item]  # (azimuth, 2)
             edges = np.clip(np.arange(ROWS + 1)[:, None], *ends.T)
-            shares[slab] += np.where(ends[:, 0] < ends[:, 1], np.diff(edges, axis=0), 0).mean(axis=1)
+            shares[:, slab] += np.where(ends[:, 0] < ends[:, 1], np.diff(edges, axis=0), 0).mean(axis=1)
     return np.clip(shares, 0, 1)
 
 
 def test_each_owner_covers_what_a_count_finds(spans):
     middle, half, present, owner = spans
     half = np.sign(half) * np.minimum(np.abs(half), (middle[:, 1] - middle[:, 0])[:, None] / 2)  # ends keep their order
-    together, apart = covered_by_each(*map(jnp.asarray, (middle, half, present)), ROWS, jnp.asarray(owner), OWNERS)
+    together, apart = covered_by_each(
+        *map(jnp.asarray, (middle, half, present)), EACH, ROWS, jnp.asarray(owner), OWNERS
+    )
     np.testing.assert_allclose(together, counted(middle, half, present), atol=5e-3)
     for one in range(OWNERS):
         np.testing.assert_allclose(apart[one], counted(middle, half, present & (owner == one)), atol=5e-3)
@@ -48,8 +52,10 @@ def test_each_owner_covers_what_a_count_finds(spans):
 
 def test_all_owners_together_cover_what_one_pass_finds(spans):
     middle, half, present, owner = spans
-    together, apart = covered_by_each(*map(jnp.asarray, (middle, half, present)), ROWS, jnp.asarray(owner), OWNERS)
-    np.testing.assert_allclose(together, covered(*map(jnp.asarray, (middle, half, present)), ROWS), atol=1e-5)
+    together, apart = covered_by_each(
+        *map(jnp.asarray, (middle, half, present)), EACH, ROWS, jnp.asarray(owner), OWNERS
+    )
+    np.testing.assert_allclose(together, covered(*map(jnp.asarray, (middle, half, present)), EACH, ROWS), atol=1e-5)
     assert np.isfinite(apart).all() and (np.asarray(apart).max(axis=(1, 2)) > 0.5).all()
 
 
@@ -57,10 +63,28 @@ def test_density_is_spread_over_what_its_span_covers(spans):
     middle, half, present, _ = spans
     half = np.sign(half) * np.minimum(np.abs(half), (middle[:, 1] - middle[:, 0])[:, None] / 2)
     density = np.where(present, np.arange(1.0, ITEMS + 1), 0.0)
-    together, spread = covered_and_spread(*map(jnp.asarray, (middle, half, present)), ROWS, jnp.asarray(density))
+    together, echo = covered_and_spread(*map(jnp.asarray, (middle, half, present)), EACH, ROWS, jnp.asarray(density))
     each = [counted(middle, half, present & (np.arange(ITEMS) == item)) for item in range(ITEMS)]
     np.testing.assert_allclose(together, counted(middle, half, present), atol=5e-3)
-    np.testing.assert_allclose(spread, sum((k + 1) * one for k, one in enumerate(each)), atol=2e-2)
+    np.testing.assert_allclose(echo, sum((k + 1) * one for k, one in enumerate(each)), atol=2e-2)
+    alone = spread(jnp.asarray(middle), jnp.asarray(half), EACH, ROWS, jnp.asarray(density))
+    np.testing.assert_allclose(alone, echo, atol=1e-6)
+
+
+def test_bins_that_no_span_touches_are_dark():
+    """Rows are taken in parts, and those without a span are skipped: ends of spans lie on both sides of a border."""
+    middle = jnp.array([[[31.0], [33.0]], [[64.0], [64.5]]])
+    shares = covered(middle, jnp.zeros_like(middle), jnp.ones((2, 1), bool), jnp.eye(2), ROWS)
+    expected = np.zeros((ROWS, 2))
+    expected[31:33, 0], expected[64, 1] = 1.0, 0.5
+    np.testing.assert_allclose(shares, expected, atol=5e-4)
+
+
+def test_slabs_of_a_beam_are_averaged(spans):
+    middle, half, present, _ = (jnp.asarray(v) for v in spans)
+    beams = jnp.array([[0.25, 0.75, 0.0, 0.0, 0.0], [0.0, 0.0, 0.5, 0.5, 0.0], [0.0, 0.0, 0.0, 0.0, 1.0]])
+    each = covered(middle, half, present, EACH, ROWS)
+    np.testing.assert_allclose(covered(middle, half, present, beams, ROWS), each @ beams.T, atol=1e-5)
 
 
 @pytest.mark.parametrize("sums", [1, 2, 3])
@@ -75,12 +99,15 @@ def test_derivatives_are_those_that_autodiff_finds(rng, sums):
         edges = jnp.arange(ROWS + 1, dtype=jnp.float32)
         length = ramp(middle[:, 0], half[:, 0], edges) - ramp(middle[:, 1], half[:, 1], edges)
         summed = jnp.einsum("sne,snk->ske", length, weights, precision=jax.lax.Precision.HIGHEST)
-        return jnp.diff(summed, axis=-1)
+        return jnp.moveaxis(jnp.diff(summed, axis=-1), 0, 2)
+
+    def rendered(middle, half):
+        return rasterised(middle, half, weights, EACH, ROWS, lambda sums: sums)
 
     (value, slope), (expected, expected_slope) = (
-        jax.jvp(function, (middle, half), along) for function in (lambda m, h: weighted(m, h, weights, ROWS), plain)
+        jax.jvp(function, (middle, half), along) for function in (rendered, plain)
     )
     np.testing.assert_allclose(value, expected, atol=1e-5)
     np.testing.assert_allclose(slope, expected_slope, atol=1e-4)
-    back = jax.grad(lambda m: (weighted(m, half, weights, ROWS) ** 2).sum())(middle)
+    back = jax.grad(lambda m: (rendered(m, half) ** 2).sum())(middle)
     np.testing.assert_allclose(back, jax.grad(lambda m: (plain(m, half) ** 2).sum())(middle), atol=1e-3)
