@@ -101,7 +101,7 @@ def rasterised(
     `weights` carry no gradient. An item whose weights are all zero does not count, whatever its ends are.
 
     On a CPU the range bins are taken `ROWS` at a time, and those that no span touches are skipped: an object's echo
-    is a small part of its window.
+    is a small part of its window. An accelerator would wait for each decision.
     """
     counts = (weights != 0).any(axis=-1)
     middle, half = (jnp.where(counts[:, None], ends, 0.0) for ends in (middle, half))
@@ -111,12 +111,12 @@ def rasterised(
     def some_rows(first: Array) -> Float[Array, "layer bin beam"]:
         return _per_beam(beams, finish(jnp.diff(_below(middle - first, half, weights, size), axis=-1)))
 
-    nothing = jax.eval_shape(some_rows, first[0])
+    if len(first) == 1:
+        return some_rows(first[0])
+    nothing = jnp.zeros(jax.eval_shape(some_rows, first[0]).shape)
     touched = _touched(middle, half, counts, first, size)
-    layers = jax.lax.map(
-        lambda at: jax.lax.cond(at[1], some_rows, lambda _: jnp.zeros(nothing.shape), at[0]), (first, touched)
-    )
-    return jnp.moveaxis(layers, 0, 1).reshape(nothing.shape[0], -1, len(beams))[:, :rows]
+    parts = jax.lax.map(lambda at: jax.lax.cond(at[1], some_rows, lambda _: nothing, at[0]), (first, touched))
+    return jnp.moveaxis(parts, 0, 1).reshape(len(nothing), -1, len(beams))[:, :rows]
 
 
 def _touched(middle: Array, half: Array, counts: Array, first: Int[Array, "part"], size: int) -> Bool[Array, "part"]:
