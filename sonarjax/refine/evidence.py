@@ -17,6 +17,8 @@ from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS
 
 FINE, COARSE = 1.0, 4.0
 """Blurs [range bins] at which template and frame are compared."""
+CONSTANT = 1e-6
+"""A frame brought to norm 1 that varies less than this is constant up to rounding [1]."""
 
 
 @record
@@ -36,7 +38,9 @@ class Evidence:
     It is near 0 for the target, whose residuals are noise, and positive if both show another object.
     """
     left_over: Float[Array, "*batch"]
-    """Share of the frame's standard deviation, blurred by `COARSE`, that the template does not explain."""
+    """Share of the frame's standard deviation, blurred by `COARSE`, that the template does not explain; 1 for a
+    constant frame.
+    """
 
 
 @jax.jit
@@ -63,12 +67,13 @@ def gather_evidence(
     residual = seen - (seen * drawn).sum() * drawn
     beyond = normalised(semantic - labels, inside)
     fine, coarse = (make_blur((frame.shape[0], frame.shape[1]), sigma) for sigma in (FINE, COARSE))
+    varies, left = (_spread(image, inside, coarse) for image in (seen, residual))
     return Evidence(
         map_fit=(normalised(semantic, inside) * normalised(labels, inside)).sum(),
         frame_fit=_blurred_fit(seen, drawn, inside, fine),
         coarse_fit=_blurred_fit(seen, drawn, inside, coarse),
         unexplained=(beyond * normalised(residual, inside)).sum(),
-        left_over=_spread(residual, inside, coarse) / jnp.maximum(_spread(seen, inside, coarse), 1e-6),
+        left_over=jnp.where(varies > CONSTANT, left / jnp.maximum(varies, CONSTANT), 1.0),
     )
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from sonarjax.refine import gather_evidence
+from sonarjax.segment import load_segmenter
 
 SHAPE = (96, 40)
 RNG = np.random.default_rng(4)
@@ -62,3 +63,15 @@ def test_an_empty_template_gives_no_nan() -> None:
     nothing = jnp.zeros(SHAPE)
     found = gather_evidence(nothing + 0.3, nothing + 0.5, nothing + 1, nothing, nothing)
     assert all(np.isfinite(float(getattr(found, name))) for name in found.__dataclass_fields__)
+
+
+def test_a_constant_frame_is_left_over_whole() -> None:
+    """The template explains nothing of it, and the shipped rule refuses what has no other evidence."""
+    frame, measured = np.full(SHAPE, 0.3, np.float32), np.ones(SHAPE, np.float32)
+    semantic = (0.5 + 0.02 * RNG.normal(size=SHAPE)).astype(np.float32)  # a network sees little in it
+    found = gather_evidence(*(jnp.asarray(v) for v in (frame, semantic, measured, LABELS, LABELS)))
+    evidence = {name: float(getattr(found, name)) for name in found.__dataclass_fields__}
+    assert evidence["left_over"] == 1.0
+    rule = load_segmenter().rule
+    assert rule is not None
+    assert rule.probability(evidence | dict.fromkeys(("map_rise", "frame_rise", "frame_peak"), 0.01)) < 0.2
