@@ -4,9 +4,9 @@ python -m experiments.fit_decision [--segmenter FILE --into FILE] [--preset smok
 
 A logistic regression weighs the evidence of `sonarjax.refine.evidence`, its AUC also given with each object left out of
 the fit in turn; one half is its threshold. Another one tells frames with an object from frames without, on open floor
-and in tanks. Error bars are those under which the errors are most likely. Validation frames show other objects and
-other devices than any test: see `experiments.common.validation`. `--piles` fits to more objects, and did not carry
-over (docs/outside.md). What is found stands in the weights file's metadata, `sonarjax.segment.rule` and
+and in tanks. `yaw_std` is corrected so that the errors are most likely. Validation frames show other objects and other
+devices than any test: see `experiments.common.validation`. `--piles` fits to more objects, and did not carry over
+(docs/outside.md). What is found stands in the weights file's metadata, `sonarjax.segment.rule` and
 `sonarjax.refine.errorbar`.
 """
 
@@ -24,7 +24,7 @@ import sonarjax as sj
 from experiments.common.drawn_piles import pile_scenes
 from experiments.common.frames import TILTS_DEG
 from experiments.common.launch import Report, launch
-from experiments.common.likelihood import unlikeliness_with_strays
+from experiments.common.likelihood import log_widening, unlikeliness
 from experiments.common.metrics import columns, yaw_error_deg
 from experiments.common.recognizers import recognizers
 from experiments.common.runs import Job
@@ -43,8 +43,6 @@ RIDGE = 1.0
 """Weight of the squared coefficients of standardised evidence in the logistic loss [1]."""
 ASTRAY_DEG = 30.0
 """Yaw errors beyond it are of another hypothesis: no error bar is fitted to them."""
-FEW_STRAYS = -2.0
-"""Log-odds of the share of strayed yaws from which its fit starts."""
 BAR_RIDGE = 2.0
 """Weight of the squared coefficients of what error bars are made of, standardised [1]."""
 OPEN, WALLED, FLOOR, TANKS = "any device", "walls in view", "bare floor", "tanks without an object"
@@ -200,23 +198,25 @@ def _alarms(probability: np.ndarray) -> float:
 
 
 def fit_error_bar(values: Measured) -> ErrorBar:
-    """The error bar under which the targets' errors are most likely, if a few frames have strayed to other yaws.
+    """The error bar under which the targets' errors are most likely, scaled by `log_widening`.
 
-    Errors beyond `ASTRAY_DEG` are left out.
+    A few frames go astray, and would widen all others' error bars: they are left out.
     """
     near = values.own & (values.error_deg <= ASTRAY_DEG) & np.isfinite(values.std_deg)
     error, known = np.radians(values.error_deg[near]), _known(values)[near]
     mean, spread = known.mean(0), known.std(0) + 1e-9
     scaled = (known - mean) / spread
 
-    def loss(beta: np.ndarray) -> float:
-        std, strays = np.exp(beta[0] + scaled @ beta[1:-1]), 1 / (1 + np.exp(-beta[-1]))
-        unlikely = unlikeliness_with_strays(error, std, strays, np.radians(ASTRAY_DEG))
-        return unlikely + BAR_RIDGE * float((beta[1:-1] ** 2).sum()) / 2
+    def std(beta: np.ndarray) -> np.ndarray:
+        return np.exp(beta[0] + scaled @ beta[1:])
 
-    beta = minimize(loss, [np.log(np.median(error)), *np.zeros(known.shape[1]), FEW_STRAYS]).x
-    weights = beta[1:-1] / spread
-    return ErrorBar(float(beta[0] - weights @ mean), *(float(w) for w in weights))
+    def loss(beta: np.ndarray) -> float:
+        return unlikeliness(error, std(beta)) + BAR_RIDGE * float((beta[1:] ** 2).sum()) / 2
+
+    beta = minimize(loss, [np.log(np.median(error)), *np.zeros(known.shape[1])]).x
+    weights = beta[1:] / spread
+    offset = beta[0] - weights @ mean + log_widening(error, std(beta))
+    return ErrorBar(float(offset), *(float(w) for w in weights))
 
 
 def _known(values: Measured) -> np.ndarray:

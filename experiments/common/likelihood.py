@@ -15,15 +15,6 @@ def unlikeliness(error: np.ndarray, std: np.ndarray) -> float:
     return float((np.log(std) + np.minimum(error / std, TAIL) ** 2 / 2).sum())
 
 
-def unlikeliness_with_strays(error: np.ndarray, std: np.ndarray, strays: float, widest: float) -> float:
-    """Negative log-likelihood of errors (error,): normal, but for a share of `strays` spread evenly up to `widest`.
-
-    The strays belong to other hypotheses: without a share of their own they would widen the error bars of all frames.
-    """
-    normal = 2 * np.exp(-((error / std) ** 2) / 2) / (std * np.sqrt(2 * np.pi))
-    return float(-np.log((1 - strays) * normal + strays / widest).sum())
-
-
 def log_widening(error: np.ndarray, std: np.ndarray) -> float:
     """Logarithm of the factor that makes standard deviations (error,) right for the sizes of errors (error,).
 
