@@ -10,7 +10,6 @@ from sonarjax.refine import gather_evidence
 from sonarjax.segment import load_segmenter
 
 SHAPE = (96, 40)
-RNG = np.random.default_rng(4)
 
 
 def block(rows: slice, columns: slice, value: float) -> np.ndarray:
@@ -24,7 +23,8 @@ EXTRA = block(slice(34, 46), slice(24, 30), 0.5)  # of another object: beside th
 
 
 def gathered(shown: np.ndarray, noise: float, mask: np.ndarray | None = None) -> dict[str, float]:
-    frame = (0.4 + 0.5 * shown + noise * RNG.normal(size=SHAPE)).astype(np.float32)
+    speckle = np.random.default_rng(4).normal(size=SHAPE)
+    frame = (0.4 + 0.5 * shown + noise * speckle).astype(np.float32)
     measured = np.ones(SHAPE, np.float32) if mask is None else mask
     found = gather_evidence(*(jnp.asarray(v) for v in (frame, 0.5 + shown, measured, LABELS, LABELS)))
     return {name: float(getattr(found, name)) for name in found.__dataclass_fields__}
@@ -68,7 +68,9 @@ def test_an_empty_template_gives_no_nan() -> None:
 def test_a_constant_frame_is_left_over_whole() -> None:
     """The template explains nothing of it, and the shipped rule refuses what has no other evidence."""
     frame, measured = np.full(SHAPE, 0.3, np.float32), np.ones(SHAPE, np.float32)
-    semantic = (0.5 + 0.02 * RNG.normal(size=SHAPE)).astype(np.float32)  # a network sees little in it
+    semantic = (0.5 + 0.02 * np.random.default_rng(4).normal(size=SHAPE)).astype(
+        np.float32
+    )  # a network sees little in it
     found = gather_evidence(*(jnp.asarray(v) for v in (frame, semantic, measured, LABELS, LABELS)))
     evidence = {name: float(getattr(found, name)) for name in found.__dataclass_fields__}
     assert evidence["left_over"] == 1.0
