@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
-from sonarjax.exact import full_precision
+from sonarjax.render.slabs import per_beam
 
 ROWS = 32
 """Range bins that are taken at a time on a CPU."""
@@ -109,7 +109,7 @@ def rasterised(
     first = jnp.arange(0, rows, size)
 
     def some_rows(first: Array) -> Float[Array, "layer bin beam"]:
-        return _per_beam(beams, finish(jnp.diff(_below(middle - first, half, weights, size), axis=-1)))
+        return per_beam(beams, finish(jnp.diff(_below(middle - first, half, weights, size), axis=-1)))
 
     if len(first) == 1:
         return some_rows(first[0])
@@ -124,13 +124,6 @@ def _touched(middle: Array, half: Array, counts: Array, first: Int[Array, "part"
     reach, part = _at_least(half)[..., 0], first[:, None, None]
     near, far = middle[:, 0] - reach[:, 0], middle[:, 1] + reach[:, 1]
     return stop_gradient((counts & (near < part + size) & (far > part)).any(axis=(1, 2)))
-
-
-@full_precision
-def _per_beam(
-    beams: Float[Array, "beam slab"], values: Float[Array, "slab layer bin"]
-) -> Float[Array, "layer bin beam"]:
-    return jnp.einsum("bs,slr->lrb", beams, values)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(3,))

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int
 
+from sonarjax.exact import full_precision
 from sonarjax.render.segments import NEAR_M
 
 
@@ -54,6 +55,14 @@ def make_slabs(
     fixed = stop_gradient(middle)
     inside_beam = (fixed >= azimuth_edges[:-1, None]) & (fixed < azimuth_edges[1:, None])
     return Slabs(middle, slab_width, jnp.where(inside_beam, slab_width / jnp.diff(azimuth_edges)[:, None], 0.0))
+
+
+@full_precision
+def per_beam(
+    beams: Float[Array, "beam slab"], values: Float[Array, "slab layer range"]
+) -> Float[Array, "layer range beam"]:
+    """Average layers of slabs over each beam; `beams` are the `weights` of `Slabs`."""
+    return jnp.einsum("bs,slr->lrb", beams, values)
 
 
 def event_azimuths(

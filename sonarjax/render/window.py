@@ -22,7 +22,7 @@ from sonarjax.render.materialise import materialised
 from sonarjax.render.platform import platform_lit, platform_span
 from sonarjax.render.rasterise import covered, covered_and_spread, covered_by_each, spread
 from sonarjax.render.segments import Segments, View, cut
-from sonarjax.render.slabs import Slabs, event_azimuths, make_slabs
+from sonarjax.render.slabs import Slabs, event_azimuths, make_slabs, per_beam
 from sonarjax.render.spans import (
     Scene,
     Spans,
@@ -227,7 +227,7 @@ def _echo(seen: _Seen, mesh: Mesh, quality: RenderQuality) -> Float[Array, "rang
     """Energy (range, beam) that first hits on objects send back (eq. 2)."""
     ends = all_ends(seen.visible.intervals, seen.visible.segments, seen.visible.table)
     energy = object_energy(ends, seen.slabs, seen.scene, seen.sonar, quality.elevations, seen.edges, mesh.reflectivity)
-    return _per_beam(seen.slabs, energy)
+    return per_beam(seen.slabs.weights, energy[:, None])[0]
 
 
 def _frame_of(seen: _Seen, shares: tuple[Array, Array], echo: Array, window: Window) -> SonarFrame:
@@ -309,11 +309,6 @@ def _edges_of(sonar: Sonar, window: Window) -> Float[Array, "edge"]:
 
 def _columns(values: Float[Array, "beam"], first: Int[Array, ""] | int, count: int) -> Float[Array, "column"]:
     return jnp.take(values, first + jnp.arange(count), mode="clip")
-
-
-@full_precision
-def _per_beam(slabs: Slabs, values: Float[Array, "slab range"]) -> Float[Array, "range beam"]:
-    return (slabs.weights @ values).T
 
 
 def _pairs(ends: Float[Array, "slab end"]) -> Float[Array, "slab 2 item"]:

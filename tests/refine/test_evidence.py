@@ -68,9 +68,8 @@ def test_an_empty_template_gives_no_nan() -> None:
 def test_a_constant_frame_is_left_over_whole() -> None:
     """The template explains nothing of it, and the shipped rule refuses what has no other evidence."""
     frame, measured = np.full(SHAPE, 0.3, np.float32), np.ones(SHAPE, np.float32)
-    semantic = (0.5 + 0.02 * np.random.default_rng(4).normal(size=SHAPE)).astype(
-        np.float32
-    )  # a network sees little in it
+    little = 0.02 * np.random.default_rng(4).normal(size=SHAPE)  # what a network sees in it
+    semantic = (0.5 + little).astype(np.float32)
     found = gather_evidence(*(jnp.asarray(v) for v in (frame, semantic, measured, LABELS, LABELS)))
     evidence = {name: float(getattr(found, name)) for name in found.__dataclass_fields__}
     assert evidence["left_over"] == 1.0

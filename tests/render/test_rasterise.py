@@ -73,11 +73,20 @@ def test_density_is_spread_over_what_its_span_covers(spans):
 
 def test_bins_that_no_span_touches_are_dark():
     """Rows are taken in parts, and those without a span are skipped: ends of spans lie on both sides of a border."""
-    middle = jnp.array([[[31.0], [33.0]], [[64.0], [64.5]]])
-    shares = covered(middle, jnp.zeros_like(middle), jnp.ones((2, 1), bool), jnp.eye(2), ROWS)
-    expected = np.zeros((ROWS, 2))
-    expected[31:33, 0], expected[64, 1] = 1.0, 0.5
+    middle = jnp.array([[[31.0], [33.0]], [[64.0], [64.5]], [[10.0], [75.0]]])
+    shares = [
+        covered(one, jnp.zeros_like(one), jnp.ones((1, 1), bool), jnp.eye(1), ROWS)[:, 0] for one in middle[:, None]
+    ]
+    expected = np.zeros((3, ROWS))
+    expected[0, 31:33], expected[1, 64], expected[2, 10:75] = 1.0, 0.5, 1.0
     np.testing.assert_allclose(shares, expected, atol=5e-4)
+
+
+def test_an_accelerator_takes_all_rows_at_once(spans, monkeypatch):
+    middle, half, present, _ = (jnp.asarray(v) for v in spans)
+    in_parts = covered(middle, half, present, EACH, ROWS)
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    np.testing.assert_allclose(covered(middle, half, present, EACH, ROWS), in_parts, atol=1e-5)
 
 
 def test_slabs_of_a_beam_are_averaged(spans):
