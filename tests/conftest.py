@@ -26,19 +26,16 @@ cpu.enable_compilation_cache()
 jax.config.update("jax_enable_x64", False)
 
 
-QUICKEST = {"xla_backend_optimization_level": 0}
+@pytest.hookimpl(tryfirst=True)  # before the fixtures of a module, which compile too
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Leave code without optimisation, which halves the time of most tests: they compile more than they compute.
 
-
-def pytest_configure(config: pytest.Config) -> None:
-    """Where slow tests are left out, code is not optimised: that halves the time, most of which goes into compiling.
-
-    Tests that compute for longer than they compile ask for optimised code (tests/refine/engines.py).
+    Tests marked `computes` have their code optimised. The processes that a test starts do as it does.
     """
-    if config.option.markexpr == "not slow":
-        flags = [f"--{name}={level}" for name, level in QUICKEST.items()]
-        given = os.environ.get("XLA_FLAGS", "")
-        os.environ["XLA_FLAGS"] = " ".join([*flags, given])  # what the user gave comes last, and holds
-        cpu.COMPILER_OPTIONS.update(QUICKEST)
+    quick = item.get_closest_marker("computes") is None
+    jax.config.update("jax_disable_most_optimizations", quick)
+    os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = str(int(quick))
+    cpu.COMPILER_OPTIONS["xla_backend_optimization_level"] = 0 if quick else 1
 
 
 @pytest.fixture(autouse=True)

@@ -401,6 +401,7 @@ def test_refinement_is_finite_for_any_image_and_start(kind: str) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.computes
 @pytest.mark.parametrize("template", ["semantic", "echo"])
 def test_refinement_is_finite_for_2000_pairs(template: str) -> None:
     rng = np.random.default_rng(7)

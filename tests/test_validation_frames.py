@@ -50,6 +50,7 @@ def test_a_leaning_object_floats_as_little_as_asked_and_both_sonars_look_at_it()
 
 
 @pytest.mark.slow
+@pytest.mark.computes
 def test_neither_bare_floor_nor_noise_is_identified() -> None:
     """Frames of another seed than those to which the rule was fitted, and noise that no sonar took."""
     sonar, noise = sonar_for(20.0), np.random.default_rng(0)

@@ -37,6 +37,7 @@ def frames():
 
 
 @pytest.mark.slow
+@pytest.mark.computes
 def test_tilt_and_height_come_back_and_the_other_object_is_left_out(frames) -> None:
     images, poses = frames
     prior = {"tilt": math.radians(3.0), "height": 0.05}
@@ -52,6 +53,7 @@ def test_tilt_and_height_come_back_and_the_other_object_is_left_out(frames) -> N
 
 
 @pytest.mark.slow
+@pytest.mark.computes
 def test_frames_without_the_target_are_refused() -> None:
     """Speckle alone."""
     noise = np.random.default_rng(0).gamma(1.0, 0.1, (2, *NOMINAL.shape)).astype(np.float32).clip(0, 1)
@@ -61,6 +63,7 @@ def test_frames_without_the_target_are_refused() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.computes
 def test_where_the_target_is_known_to_be_no_frame_is_left_out(frames) -> None:
     """The other object among them is fitted too; without it tilt and height come back."""
     images, _ = frames
@@ -73,6 +76,7 @@ def test_where_the_target_is_known_to_be_no_frame_is_left_out(frames) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.computes
 def test_known_poses_leave_the_target_unsearched(frames) -> None:
     images, poses = frames
     at = jax.tree.map(lambda *v: jnp.stack([jnp.asarray(x, jnp.float32) for x in v]), *poses[:-1])
@@ -82,6 +86,7 @@ def test_known_poses_leave_the_target_unsearched(frames) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.computes
 def test_an_uneven_beam_table_comes_back() -> None:
     """Both terms at once, from frames at known poses across the fan."""
     free, off = ("beam_bend", "beam_skew"), (0.06, -0.04)
@@ -102,6 +107,7 @@ def test_an_uneven_beam_table_comes_back() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.computes
 @pytest.mark.parametrize(
     ("free", "off", "free_steps"),
     [

@@ -11,7 +11,7 @@ from sonarjax.engine import Engine
 
 
 class Optimised(Engine):
-    """Its code is optimised, which conftest's flags prevent elsewhere: a search runs ten times as fast."""
+    """Its code is optimised, which conftest prevents elsewhere: a search runs ten times as fast."""
 
     def run(self, function: Any, *args: Any, **static: Any) -> Any:
         """As `Engine.run`."""

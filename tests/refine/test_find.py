@@ -25,6 +25,7 @@ def away(pose):
 
 
 @pytest.mark.slow
+@pytest.mark.computes
 def test_a_leaning_object_is_found_from_nothing():
     """The semantic image is matched and refined as it is, without a segmenter."""
     sonars = np.array([(0.0, 0.0, 0.0), (2.3, -2.2, math.pi / 2)])

@@ -45,6 +45,7 @@ def test_sizes_scale_each_axis_from_the_floor_up() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.computes
 def test_sides_of_a_brick_are_found_within_a_range_bin(frames) -> None:
     rng = np.random.default_rng(0)
     start = sj.Pose(2.2 + rng.normal(0, 0.01, 5), 0.05 + rng.normal(0, 0.01, 5), YAWS + rng.normal(0, 0.04, 5))
@@ -59,6 +60,7 @@ def test_sides_of_a_brick_are_found_within_a_range_bin(frames) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.computes
 def test_what_frames_do_not_tell_better_than_the_prior_is_left_alone(frames) -> None:
     found = sj.fit_size(frames, brick(BRICK_M), SONAR, POSES, prior=dict.fromkeys(SIZES, 1e-3))
     assert not any(found.determined.values())

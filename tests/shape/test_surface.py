@@ -90,6 +90,7 @@ def test_gradient_adds_up_to_what_the_cost_rises_by(frames) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.computes
 def test_a_ball_is_stretched_to_what_the_frames_show(frames) -> None:
     config = SurfaceConfig(blurs=(6.0, 3.0), iterations=30)
     found = sj.fit_surface(frames, ball(), SONAR, sj.Pose(2.2, 0.0, YAWS), config=config)
