@@ -1,4 +1,5 @@
 # make test        lint, spelling, types, fast tests    make test-all    that, slow tests, experiments and notebooks
+# make test-peers  the tests beside PyTorch, which is installed for them
 # make smoke       every experiment and notebook in brief  make reproduce   the main job: figures and report under runs/
 # make docs        the site: spelling, links, API        make docs-all    the same with the notebooks executed
 # make bench       speed against peers                    make format      rewrite the code in our format
@@ -19,7 +20,7 @@ BIN   := $(VENV)/bin
 SPEC  := pyproject.toml constraints.txt
 PIP   := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: test test-all smoke reproduce docs docs-all bench format clean
+.PHONY: test test-peers test-all smoke reproduce docs docs-all bench format clean
 .DELETE_ON_ERROR:
 
 test: $(VENV)/.stamp-test
@@ -28,6 +29,9 @@ test: $(VENV)/.stamp-test
 	$(BIN)/codespell
 	$(BIN)/mypy sonarjax
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -m "not slow"
+
+test-peers: $(VENV)/.stamp-all
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -k pytorchs tests/segment
 
 test-all: test $(VENV)/.stamp-all
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -m slow
