@@ -103,7 +103,6 @@ def test_what_is_no_cluster_is_one_clear_error(address):
 
 
 @pytest.mark.slow
-@pytest.mark.computes
 def test_killed_workers_cost_nothing_but_time():
     with connect("local:2") as engine:
         pids, found = set(), []
@@ -118,7 +117,6 @@ def test_killed_workers_cost_nothing_but_time():
 
 
 @pytest.mark.slow
-@pytest.mark.computes
 def test_an_error_of_an_item_is_the_error_of_the_stream():
     with connect("local:1") as engine, pytest.raises(SonarjaxError, match="item 3: expected another"):
         list(engine.stream(stumble, 3, range(10)))
@@ -130,7 +128,6 @@ def cache_in_use(shared: None, item: int, engine: object) -> tuple[str, int]:
 
 
 @pytest.mark.slow
-@pytest.mark.computes
 def test_workers_share_the_cache_of_compiled_code():
     with connect("local:2") as engine:
         found = list(engine.stream(cache_in_use, None, range(20)))
@@ -160,7 +157,7 @@ def sonarjax(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.slow
-@pytest.mark.computes
+@pytest.mark.computes  # workers optimise their code, and the data sets are equal to the bit
 def test_a_data_set_of_workers_that_are_killed_is_that_of_one_process(place):
     import sonarjax as sj
     from sonarjax.data import FrameSettings, make_dataset
@@ -189,7 +186,6 @@ def test_a_data_set_of_workers_that_are_killed_is_that_of_one_process(place):
 
 
 @pytest.mark.slow
-@pytest.mark.computes
 def test_recognize_on_a_cluster_writes_the_lines_of_one_process(place):
     made = sonarjax(
         "dataset", place / "brick.off", "--sonar", place / "sonar.toml", "--count", 6, "--out", place / "set"
@@ -228,7 +224,6 @@ def experiment(folder: Path, *arguments: object) -> list[dict]:
 
 
 @pytest.mark.slow
-@pytest.mark.computes
 @pytest.mark.parametrize("seeds", [(0,), (0, 1)], ids=["parts", "seeds"])
 def test_an_experiment_on_a_cluster_is_that_of_one_process(tmp_path, seeds):
     one, many = (
