@@ -32,7 +32,9 @@ SEARCHED = 6
 LIKELY = 0.5
 """Least probability that the target is shown in a frame that is fitted."""
 LEAST_SHARE, LEAST_FRAMES = 0.25, 3
-"""The first fit uses at least this share and this number of the frames: the likeliest ones."""
+"""At least this share and this number of the frames are fitted: the likeliest ones."""
+FIRST_FRAMES = 10
+"""Most frames of the first fit, whose result only has to be good enough to search again."""
 
 
 @dataclass(frozen=True)
@@ -158,7 +160,8 @@ def calibrate(
         return poses, np.array([one.probability for one in seen])
 
     at, probability = found_with(changed_sonar(sonar, names, jnp.asarray(begin)))
-    first, _ = fit_frames(job, *_used_frames(job, at, _likeliest(probability, share)), with_nominal_look(begin))
+    some = _likeliest(probability, share) & (_rank(probability) < FIRST_FRAMES)
+    first, _ = fit_frames(job, *_used_frames(job, at, some), with_nominal_look(begin))
     # Search again with the nearly right sonar.
     nearly = changed_sonar(sonar, names, jnp.asarray(first.point.shared[: len(names)], jnp.float32))
     at, probability = found_with(nearly)
@@ -214,7 +217,12 @@ def _first_guess(job: Job, search: SearchConfig) -> np.ndarray:
 def _likeliest(probability: np.ndarray, share: float) -> np.ndarray:
     """Which frames (frame,) to fit while the sonar may be far off: the likely ones, and at least this `share`."""
     least = max(LEAST_FRAMES, math.ceil(share * len(probability)))
-    return (probability >= LIKELY) | (np.argsort(np.argsort(-probability)) < least)
+    return (probability >= LIKELY) | (_rank(probability) < least)
+
+
+def _rank(probability: np.ndarray) -> np.ndarray:
+    """How many frames (frame,) are likelier than each."""
+    return np.argsort(np.argsort(-probability, kind="stable"))
 
 
 def _used_frames(job: Job, poses: Pose, used: np.ndarray) -> tuple[list[Prepared], list[Pose]]:

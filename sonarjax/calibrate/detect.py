@@ -52,7 +52,7 @@ def detect(
     banks = TargetSearch(mesh, sonar, search, engine=engine)
     nearest = float(banks.distances[0])
     window = plan_refinement(mesh, sonar, Pose(x=nearest), MAP_REFINEMENT)
-    return [_detect(frame, banks, segmenter, window, engine) for frame in frames]
+    return engine.map(lambda frame: _detect(frame, banks, segmenter, window, engine), frames)
 
 
 def _detect(

@@ -45,6 +45,8 @@ class Stage(NamedTuple):
 
 COARSE, FINE = Stage(8.0, 6), Stage(2.0, 14)
 """Where the sonar may be far off, and where it is nearly right."""
+ROUGH_ITERATIONS = 4
+"""Most iterations of a stage's first fit, which only finds how large the residuals of each row are."""
 TILTS = (0.0, -1.2, -0.6, 0.6, 1.2)
 """Tilts that are tried first, as multiples of the prior's standard deviation."""
 TILT_FRAMES, TILT_ITERATIONS = 3, 6
@@ -143,7 +145,7 @@ def _fitted(
 
             if stage is COARSE and not last:
                 point = _best_tilt(job, evaluate, point, prior)
-            most = iterations if last else iterations // 2
+            most = iterations if last else ROUGH_ITERATIONS
             fit = solve_jointly(evaluate, point, prior, iterations=most)
             job.progress(f"fitted with a blur of {blur:g} range bins: cost {fit.costs.sum():.0f}")
             point, spread = fit.point, _smooth(fit.spread)

@@ -50,19 +50,28 @@ def object_layers(
     return render_layers(subject, step, floor_paths=(floor_path,))
 
 
+def placed(layers: Float[Array, "*batch column"], column: Int[Array, ""], n_beams: int) -> Float[Array, "*batch beam"]:
+    """`object_layers`, or their derivatives, over all beams; `column` is the first beam of their window.
+
+    Not a part of `picture`, because JAX turns a batch of such updates into a scatter, which is slow on a CPU.
+    """
+    empty = jnp.zeros((*layers.shape[:-1], n_beams))
+    return jax.lax.dynamic_update_slice(empty, layers, (*[0] * (layers.ndim - 1), column))
+
+
 def picture(
     sonar: Sonar,
     look: Look,
-    layers: Float[Array, "view layer range column"],
+    layers: Float[Array, "view layer range beam"],
     bounce: Float[Array, ""],
-    column: Int[Array, ""],
     reference: Any,
 ) -> Float[Array, "range beam"]:
     """The picture that is stored (range, beam), up to an offset and a factor: the object's `layers` over the lit floor.
 
-    `bounce` is the share of energy left after a bounce on the floor [1]. At the range `reference` [m] the slopes are 1.
+    `layers` are those of `placed`; `bounce` is the share of energy left after a bounce on the floor [1]. At the range
+    `reference` [m] the slopes are 1.
     """
-    energy = _received(sonar, look, layers, bounce, column, reference)
+    energy = _received(sonar, look, layers, bounce, reference)
     return stored(clipped(energy, jnp.exp(look.dark), jnp.exp(look.white)), look)
 
 
@@ -77,19 +86,12 @@ def stored(energy: Float[Array, "*batch"], look: Look) -> Float[Array, "*batch"]
 
 @full_precision
 def _received(
-    sonar: Sonar, look: Look, layers: Float[Array, "view layer range column"], bounce: Float[Array, ""],
-    column: Int[Array, ""], reference: Any,
+    sonar: Sonar, look: Look, layers: Float[Array, "view layer range beam"], bounce: Float[Array, ""], reference: Any
 ) -> Float[Array, "range beam"]:  # fmt: skip
     """Energy relative to the floor's: object, shadow and bounce, after pulse, glints, beams and noise."""
     ranges = range_middles(sonar)
     far = (ranges / reference)[:, None]
-    empty = jnp.zeros((len(ranges), sonar.n_beams))
-
-    def placed(part: Array) -> Array:
-        return jax.lax.dynamic_update_slice(empty, part, (0, column))
-
     (echo, share, shadow), (bounced, *_) = layers
-    echo, share, shadow, bounced = (placed(part) for part in (echo, share, shadow, bounced))
     bare = floor_angle(ranges, sonar)[:, None]
     lit = elevation_gain(floor_elevation(sonar, ranges), sonar.elevation_aperture, look.skirt)
     gain = jnp.exp(look.gain)

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 
 from sonarjax.calibrate.look import LOOK, LOOK_STD, LOOK_TRUST, Look
 from sonarjax.calibrate.parameters import PARAMETERS, SIZES, changed_mesh, changed_sonar
-from sonarjax.calibrate.picture import Sampling, fitted, measured_mean, object_layers, picture
+from sonarjax.calibrate.picture import Sampling, fitted, measured_mean, object_layers, picture, placed
 from sonarjax.exact import full_precision
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.records import record
@@ -40,6 +40,11 @@ SETTLED = 0.02
 LEAST_GAIN = 2e-5
 """A step that lowers the cost by a smaller share is the last."""
 LOOKS = len(LOOK)
+LOOK_GROUPS = (
+    ("gain", "skirt", "slope", "pulse", "rim", "streak"), ("widening", "leak"),
+    ("noise", "exponent", "log_share", "noise_slope", "dark", "white"),
+)  # fmt: skip
+"""The look by where it enters the picture: energies, beams, display. `floor_path` enters with the object's layers."""
 MOST_DAMPING = 1e3
 """At this damping the search for a better step is given up."""
 
@@ -133,35 +138,20 @@ def linearise(
 
     `std` (row,) are the standard deviations of the residuals [grey]; `reference` [m] is that of `picture`.
     """
-    count = len(free)
-
-    def layers_at(geometry: Array) -> Array:
-        change, path = geometry[POSE:-1], geometry[-1]
-        grown, changed = changed_mesh(mesh, free, change), changed_sonar(sonar, free, change)
-        return object_layers(grown, changed, seen.start, geometry[:POSE], path, seen.column, size)
-
-    path = count + Look._fields.index("floor_path")
-    geometry = jnp.concatenate([own[:POSE], shared[:count], shared[path][None]])
-    layers, slopes = jax.vmap(lambda t: jax.jvp(layers_at, (geometry,), (t,)), out_axes=(None, 0))(
-        jnp.eye(len(geometry))
-    )
+    change, look = shared[: len(free)], Look(*shared[len(free) :])
     share = sampling(seen.mask)
     weight = share / std[:, None] ** 2
     image = measured_mean(sampling, seen.image, seen.mask)
 
-    def residual(layers: Array, change: Array, look: Array, bounce: Array) -> Array:
-        drawn = picture(changed_sonar(sonar, free, change), Look(*look), layers, bounce, seen.column, reference)
+    def layers_at(step: Array, change: Array, path: Array) -> Array:
+        grown, changed = changed_mesh(mesh, free, change), changed_sonar(sonar, free, change)
+        return object_layers(grown, changed, seen.start, step, path, seen.column, size)
+
+    def residual(layers: Array, change: Array, look: Look, bounce: Array) -> Array:
+        drawn = picture(changed_sonar(sonar, free, change), look, layers, bounce, reference)
         return fitted(measured_mean(sampling, drawn, seen.mask), image, weight) - image
 
-    at = layers, shared[:count], shared[count:], own[POSE]
-    names = OWN + count + LOOKS
-    by_own = jnp.eye(names)
-    where = np.array([*range(POSE), *range(OWN, OWN + count), OWN + path])
-    tangents = (
-        jnp.zeros((names, *layers.shape)).at[where].set(slopes),
-        by_own[:, OWN : OWN + count], by_own[:, OWN + count :], by_own[:, POSE],
-    )  # fmt: skip
-    found, jacobian = jax.vmap(lambda *t: jax.jvp(residual, at, t), out_axes=(None, 0))(*tangents)
+    found, jacobian = _residual_slopes(layers_at, residual, sonar.n_beams, seen.column, change, look, own)
     scaled = jnp.abs(found) / std[:, None]
     robust = jnp.where(scaled > HUBER, HUBER / jnp.maximum(scaled, 1e-6), 1.0)
     loss = jnp.where(scaled > HUBER, HUBER * (scaled - HUBER / 2), scaled**2 / 2)
@@ -170,6 +160,40 @@ def linearise(
     # A plain tuple, because `CpuEngine` stores compiled code in files and does not know the type `Blocks`.
     square = (robust * share * found**2).sum(axis=1) / jnp.maximum(share.sum(axis=1), 1e-6)
     return hessian, jnp.einsum("irb,rb->i", weighted, found), (share * loss).sum(), square
+
+
+def _residual_slopes(
+    layers_at: Callable[..., Array], residual: Callable[..., Array], n_beams: int, column: Any, change: Array,
+    look: Look, own: Array,
+) -> tuple[Array, Array]:  # fmt: skip
+    """The residuals (row, column), and their derivatives (number, row, column) in the order of `Blocks`.
+
+    Numbers that enter the picture at the same place are derived together, so that nothing is derived in vain: a display
+    law changes neither the echoes nor what the beams mix.
+    """
+    step, bounce, count = own[:POSE], own[POSE], len(change)
+    steps = tuple(jnp.split(jnp.eye(POSE + count + 1), (POSE, POSE + count), axis=1))
+    by_change, by_path = steps[1], steps[2][:, 0]
+    layers, slopes = (
+        placed(v, column, n_beams) for v in _slopes(layers_at, (step, change, look.floor_path), (*steps[:2], by_path))
+    )
+    found, by_geometry = _slopes(lambda *at: residual(*at, look, bounce), (layers, change), (slopes, by_change))
+    _, by_bounce = _slopes(lambda at: residual(layers, change, look, at), (bounce,), (jnp.ones(1),))
+    by_look = {"floor_path": by_geometry[-1]}
+    for names in LOOK_GROUPS:
+
+        def with_look(values: Array, names: tuple[str, ...] = names) -> Array:
+            return residual(layers, change, look._replace(**dict(zip(names, values, strict=True))), bounce)
+
+        values = jnp.stack([getattr(look, name) for name in names])
+        by_look |= zip(names, _slopes(with_look, (values,), (jnp.eye(len(names)),))[1], strict=True)
+    ordered = jnp.stack([by_look[name] for name in Look._fields])
+    return found, jnp.concatenate([by_geometry[:POSE], by_bounce, by_geometry[POSE:-1], ordered])
+
+
+def _slopes(function: Callable[..., Array], at: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Array, Array]:
+    """A function's value, and its derivatives along `tangents` (tangent, ...)."""
+    return jax.vmap(lambda *t: jax.jvp(function, at, t), out_axes=(None, 0))(*tangents)
 
 
 class _Assembled(NamedTuple):

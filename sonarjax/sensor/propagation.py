@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -199,7 +200,8 @@ def pulse_blur(image: Float[Array, "range beam"], pulse_bins: Any) -> Float[Arra
     length = jnp.clip(jnp.asarray(pulse_bins, jnp.float32), 1.0, float(MAX_PULSE_BINS))
     weights = jnp.clip(0.5 + length / 2 - jnp.abs(jnp.arange(-half, half + 1)), 0.0, 1.0) / length
     rows = image.shape[0]
-    padded = jnp.pad(image, ((half, half), (0, 0)), mode="edge")
+    # Without the barrier XLA's CPU compiler computes `image` anew for each of the shifts.
+    padded = jax.lax.optimization_barrier(jnp.pad(image, ((half, half), (0, 0)), mode="edge"))
     blurred = weights[0] * padded[:rows]
     for k in range(1, MAX_PULSE_BINS):
         blurred += weights[k] * padded[k : k + rows]

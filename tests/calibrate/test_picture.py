@@ -22,6 +22,7 @@ from sonarjax.calibrate.picture import (
     measured_mean,
     object_layers,
     picture,
+    placed,
     stored,
 )
 from sonarjax.render import WindowSize
@@ -52,10 +53,10 @@ def test_rays_at_the_floors_elevation_meet_the_floor(roll: float) -> None:
 
 def test_bare_floor_is_as_bright_as_the_simulator_has_it() -> None:
     """Energy of the floor by the vertical pattern, pulse and beams, without noise; slopes are free in the picture."""
-    layers = jnp.zeros((2, 3, 64, 16))
+    layers = jnp.zeros((2, 3, 64, SONAR.n_beams))
     quiet = {"noise": -30.0, "dark": -30.0, "white": 30.0, "leak": -30.0, "streak": -30.0}
     look = LOOK._replace(exponent=math.log(1 - 0.02), log_share=0.0, **quiet)  # energy itself
-    drawn = np.asarray(picture(SONAR, look, layers, jnp.zeros(()), jnp.int32(10), 2.5)) + 1
+    drawn = np.asarray(picture(SONAR, look, layers, jnp.zeros(()), 2.5)) + 1
     lit = propagation.elevation_gain(propagation.floor_elevation(SONAR), SONAR.elevation_aperture, look.skirt)
     expected = (
         np.asarray(propagation.pulse_blur(lit, look.pulse)) @ np.asarray(beam_mixing(SONAR, look.widening, 2.0)).T
@@ -64,21 +65,22 @@ def test_bare_floor_is_as_bright_as_the_simulator_has_it() -> None:
 
 
 def test_shadow_is_dark_and_echo_is_bright() -> None:
-    layers = jnp.zeros((2, 3, 64, 16)).at[0, 2, 20:30, 4:10].set(1.0).at[0, 0, 10:14, 4:10].set(0.05)
+    window = jnp.zeros((2, 3, 64, 16)).at[0, 2, 20:30, 4:10].set(1.0).at[0, 0, 10:14, 4:10].set(0.05)
+    layers = placed(window, jnp.int32(40), SONAR.n_beams)
     look = LOOK._replace(leak=-30.0, streak=-30.0)
-    bare = np.asarray(picture(SONAR, look, jnp.zeros_like(layers), jnp.zeros(()), jnp.int32(40), 2.5))
-    seen = np.asarray(picture(SONAR, look, layers, jnp.zeros(()), jnp.int32(40), 2.5))
+    bare = np.asarray(picture(SONAR, look, jnp.zeros_like(layers), jnp.zeros(()), 2.5))
+    seen = np.asarray(picture(SONAR, look, layers, jnp.zeros(()), 2.5))
     assert (seen[22:28, 46:48] < bare[22:28, 46:48]).all() and (seen[11:13, 46:48] > bare[11:13, 46:48]).all()
     np.testing.assert_allclose(seen[:, :30], bare[:, :30], atol=0.02)  # but for the beams' side lobes
 
 
 def test_no_look_gives_what_is_not_a_number() -> None:
     """An object where the vertical pattern hears nothing, with a `rim` beyond its range."""
-    layers = jnp.zeros((2, 3, 64, 16)).at[0, :2, :4, 4:10].set(jnp.asarray([0.05, 1.0])[:, None, None])
+    layers = jnp.zeros((2, 3, 64, SONAR.n_beams)).at[0, :2, :4, 14:20].set(jnp.asarray([0.05, 1.0])[:, None, None])
     look = jax.tree.map(jnp.float32, LOOK._replace(rim=2.0))
 
     def drawn(at):
-        return picture(SONAR, at, layers, jnp.zeros(()), jnp.int32(10), 2.5)
+        return picture(SONAR, at, layers, jnp.zeros(()), 2.5)
 
     assert np.isfinite(drawn(look)).all()
     for name, slope in jax.jacfwd(drawn)(look)._asdict().items():
@@ -95,7 +97,7 @@ def test_the_simulators_mean_energy_is_the_pictures() -> None:
     layers = object_layers(mesh, sonar, pose, jnp.zeros(3), 1.0, jnp.int32(0), WindowSize(sonar.shape, sonar.n_beams))
     quiet = {"noise": -30.0, "dark": -30.0, "white": 30.0, "leak": -30.0, "streak": -30.0}
     look = LOOK._replace(exponent=math.log(1 - 0.02), log_share=0.0, rim=1.0, **quiet)
-    drawn = np.asarray(picture(sonar, look, layers, jnp.zeros(()), jnp.int32(0), 2.5)) + 1
+    drawn = np.asarray(picture(sonar, look, layers, jnp.zeros(()), 2.5)) + 1
     bright = wanted > 3
     # The floor's slope in range is free in the picture: compare with bare floor at the same range.
     floors = [np.maximum(v[:, :10].mean(axis=1, keepdims=True), 1e-9) for v in (drawn, wanted)]
