@@ -35,18 +35,18 @@ TRUST_OWN = (0.12, 0.03, 0.03, 0.2)
 """Largest step of a frame's own numbers in one iteration."""
 HUBER = 2.0
 """Number of standard deviations beyond which a residual counts linearly."""
-SETTLED = 0.02
-"""The fit has settled when the next step of every shared number is below this share of its trust."""
-LEAST_GAIN = 2e-5
-"""A step that lowers the cost by a smaller share is the last."""
+NEGLIGIBLE = 0.05
+"""The fit has settled when a step is foreseen to lower the cost by less: the numbers would change by a third of their
+standard deviation at most.
+"""
+MOST_RADIUS, LEAST_RADIUS = 2.0, 1e-3
+"""Largest step in units of trust; when steps must be shorter than the other to lower the cost, the search ends."""
 LOOKS = len(LOOK)
 LOOK_GROUPS = (
     ("gain", "skirt", "slope", "pulse", "rim", "streak"), ("widening", "leak"),
     ("noise", "exponent", "log_share", "noise_slope", "dark", "white"),
 )  # fmt: skip
 """The look by where it enters the picture: energies, beams, display. `floor_path` enters with the object's layers."""
-MOST_DAMPING = 1e3
-"""At this damping the search for a better step is given up."""
 
 
 @record
@@ -220,27 +220,31 @@ def solve_jointly(evaluate: Callable[[Point], Sequence[Blocks]], begin: Point, p
     Raises:
         SonarjaxError: A frame has none at `begin`.
     """
-    point, damping, settled = begin, 1e-3, False
+    point, radius, settled = begin, 1.0, False
     best = _assembled(evaluate(begin), begin, prior)
     if not best.sound.all():
         number = int(np.flatnonzero(~best.sound)[0])
         raise SonarjaxError(f"calibrate: frame {number} of those fitted has no finite derivatives where the fit begins")
     for _ in range(iterations):
-        shared, own = _step(best, prior, damping)
-        moved = np.abs(shared / prior.trust).max(initial=0.0)
-        shared, own = np.clip(shared, -prior.trust, prior.trust), np.clip(own, -_TRUST, _TRUST)
-        target = Point(point.shared + shared, _bounded(point.own + own))
+        step = _step(best, prior, radius)
+        target = Point(point.shared + step.shared, _bounded(point.own + step.own))
         found = _assembled(evaluate(target), target, prior)
-        if found.cost < best.cost:
-            gained, point, best, damping = best.cost - found.cost, target, found, max(damping / 5, 1e-6)
-            settled = moved < SETTLED or gained < LEAST_GAIN * found.cost
-        else:
-            damping *= 10
-            settled = damping > MOST_DAMPING
+        gained = best.cost - found.cost
+        if gained > 0:
+            point, best = target, found
+        radius = _next_radius(radius, step, gained)
+        settled = step.foreseen < NEGLIGIBLE or radius < LEAST_RADIUS
         if settled:
             break
     information, scores = _eliminated(best)
     return Fit(point, information, scores, np.sqrt(best.square), best.costs, bool(settled))
+
+
+def _next_radius(radius: float, step: _Step, gained: float) -> float:
+    """The radius of the next step: smaller if the cost fell by much less than foreseen, larger if by about as much."""
+    if gained < 0.25 * step.foreseen:
+        return step.length / 4
+    return max(radius, min(2 * step.length, MOST_RADIUS)) if gained > 0.75 * step.foreseen else radius
 
 
 _TRUST = np.array(TRUST_OWN)
@@ -271,20 +275,52 @@ def _eliminated(at: _Assembled, damping: float = 0.0) -> tuple[np.ndarray, np.nd
     return information, at.shared_gradient - np.einsum("fps,fpq,fq->fs", at.across, inverse, at.own_gradient)
 
 
-def _damped(blocks: np.ndarray, damping: float) -> np.ndarray:
-    diagonal = np.einsum("...ii->...i", blocks)
-    return blocks + (damping * diagonal + 1e-9)[..., None] * np.eye(blocks.shape[-1])
+def _damped(own: np.ndarray, damping: float) -> np.ndarray:
+    return own + damping * np.diag(1 / _TRUST**2) + 1e-9 * np.eye(OWN)
 
 
-def _step(at: _Assembled, prior: Prior, damping: float) -> tuple[np.ndarray, np.ndarray]:
-    """The Levenberg–Marquardt step of the shared numbers (shared,) and of each frame's own (frame, 4)."""
+class _Step(NamedTuple):
+    """A step of all numbers."""
+
+    shared: np.ndarray  # (shared,)
+    own: np.ndarray  # (frame, 4)
+    length: float  # largest change of a shared number, in units of its trust
+    foreseen: float  # by how much the quadratic model of the cost falls
+
+
+def _step(at: _Assembled, prior: Prior, radius: float) -> _Step:
+    """The best step whose shared numbers change by at most `radius`, in units of their trust.
+
+    The damping that shortens the step to that is found by bisection (Moré, Numerical Analysis, LNM 630, 1978).
+    """
+    step = _damped_step(at, prior, 0.0)
+    if step.length <= radius:
+        return step
+    low, high = -12.0, 12.0  # powers of ten
+    while high - low > 0.05:
+        middle = (low + high) / 2
+        step = _damped_step(at, prior, 10**middle)
+        low, high = (low, middle) if step.length <= radius else (middle, high)
+    return _damped_step(at, prior, 10**high)
+
+
+def _damped_step(at: _Assembled, prior: Prior, damping: float) -> _Step:
+    """The Levenberg–Marquardt step."""
     information, gradients = _eliminated(at, damping)
     free = ~prior.fixed
-    whole = _damped(information + np.diag(at.tight), damping)[np.ix_(free, free)]
+    whole = (information + np.diag(at.tight + damping / prior.trust**2))[np.ix_(free, free)]
     shared = np.zeros(len(free))
     shared[free] = -np.linalg.solve(whole, (gradients.sum(0) + at.prior_gradient)[free])
     rest = at.own_gradient + np.einsum("fps,s->fp", at.across, shared)
-    return shared, -np.einsum("fpq,fq->fp", np.linalg.inv(_damped(at.own, damping)), rest)
+    own = np.clip(-np.einsum("fpq,fq->fp", np.linalg.inv(_damped(at.own, damping)), rest), -_TRUST, _TRUST)
+    return _Step(shared, own, float(np.abs(shared / prior.trust).max(initial=0.0)), _foreseen(at, shared, own))
+
+
+def _foreseen(at: _Assembled, shared: np.ndarray, own: np.ndarray) -> float:
+    """By how much the quadratic model says that a step lowers the cost."""
+    slope = (at.own_gradient * own).sum() + (at.shared_gradient.sum(0) + at.prior_gradient) @ shared
+    bend = np.einsum("fp,fpq,fq->", own, at.own, own) + 2 * np.einsum("fp,fps,s->", own, at.across, shared)
+    return float(-slope - (bend + shared @ (at.shared + np.diag(at.tight)) @ shared) / 2)
 
 
 def _bounded(own: np.ndarray) -> np.ndarray:
