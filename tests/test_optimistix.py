@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 import sonarjax as sj
+from sonarjax.calibrate.linearise import OWN, Blocks
 from sonarjax.calibrate.look import LOOK, LOOK_STD
-from sonarjax.calibrate.solver import BOUNCE, BOUNCE_STD, LOOKS, OWN, Blocks, Point, make_prior, solve_jointly
+from sonarjax.calibrate.solver import BOUNCE, BOUNCE_STD, LOOKS, Point, make_prior, solve_jointly
 from sonarjax.refine.free import ON_FLOOR, trusts
 from sonarjax.refine.objective import Problem, compare, make_blur
 from sonarjax.refine.template import VIEWS, Subject, draw, nominal_law

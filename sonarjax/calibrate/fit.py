@@ -11,21 +11,11 @@ import numpy as np
 
 from sonarjax.calibrate.covariance import Certainty, certainty, overcounted
 from sonarjax.calibrate.detect import Prepared
+from sonarjax.calibrate.linearise import OWN, Blocks, Observation, linearise
 from sonarjax.calibrate.look import LOOK
 from sonarjax.calibrate.parameters import changed_sonar
 from sonarjax.calibrate.picture import make_sampling, measured_mean
-from sonarjax.calibrate.solver import (
-    BOUNCE,
-    OWN,
-    Blocks,
-    Fit,
-    Observation,
-    Point,
-    Prior,
-    linearise,
-    make_prior,
-    solve_jointly,
-)
+from sonarjax.calibrate.solver import BOUNCE, Fit, Point, Prior, make_prior, solve_jointly
 from sonarjax.engine import Engine
 from sonarjax.refine.template import POSE
 from sonarjax.render import WindowSize, plan_window

@@ -8,72 +8,27 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
-from sonarjax.calibrate.look import LOOK, LOOK_STD, LOOK_TRUST, Look
-from sonarjax.calibrate.parameters import PARAMETERS, SIZES, changed_mesh, changed_sonar
-from sonarjax.calibrate.picture import Sampling, fitted, measured_mean, object_layers, picture, placed
-from sonarjax.exact import full_precision
+from sonarjax.calibrate.linearise import OWN, Blocks
+from sonarjax.calibrate.look import LOOK, LOOK_STD, LOOK_TRUST
+from sonarjax.calibrate.parameters import PARAMETERS, SIZES
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.records import record
 from sonarjax.refine.template import POSE
-from sonarjax.render import WindowSize
-from sonarjax.scene import Mesh, Pose
-from sonarjax.sonar import Sonar
 
-OWN = POSE + 1
-"""How many numbers a frame has of its own: yaw [rad], x, y [m] and the energy left after a bounce on the floor [1]."""
 BOUNCE, BOUNCE_STD = 0.2, 0.2
-"""Mean and standard deviation of the prior of that energy [1]."""
+"""Mean and standard deviation of the prior of the energy left after a bounce on the floor [1]."""
 TRUST_OWN = (0.12, 0.03, 0.03, 0.2)
 """Largest step of a frame's own numbers in one iteration."""
-HUBER = 2.0
-"""Number of standard deviations beyond which a residual counts linearly."""
 NEGLIGIBLE = 0.05
-"""The fit has settled when a step is foreseen to lower the cost by less: the numbers would change by a third of their
-standard deviation at most.
+"""The fit has settled when the undamped step is predicted to lower the cost by less: no number would change by more than
+a third of its standard deviation.
 """
 MOST_RADIUS, LEAST_RADIUS = 2.0, 1e-3
-"""Largest step in units of trust; when steps must be shorter than the other to lower the cost, the search ends."""
+"""The longest step, and the one below which the search for a better one is given up, in units of trust."""
 LOOKS = len(LOOK)
-LOOK_GROUPS = (
-    ("gain", "skirt", "slope", "pulse", "rim", "streak"), ("widening", "leak"),
-    ("noise", "exponent", "log_share", "noise_slope", "dark", "white"),
-)  # fmt: skip
-"""The look by where it enters the picture: energies, beams, display. `floor_path` enters with the object's layers."""
-
-
-@record
-class Observation:
-    """A frame in the form in which it is compared."""
-
-    image: Float[Array | np.ndarray, "range beam"]
-    """The frame, on any grey scale; 0 where nothing was measured."""
-    mask: Float[Array | np.ndarray, "range beam"]
-    """1 where a pixel was measured, else 0."""
-    start: Pose
-    """The pose from which its search starts."""
-    column: Any
-    """First beam of the window in which the object is rendered."""
-
-
-class Blocks(NamedTuple):
-    """A frame's part of the normal equations: its own numbers first, then those of the sonar and of the look."""
-
-    hessian: Float[Array, "number number"]
-    """Jᵀ·W·J."""
-    gradient: Float[Array, "number"]
-    """Jᵀ·W·residual."""
-    cost: Float[Array, ""]
-    """Half of the robust sum of squares."""
-    square: Float[Array, "row"]
-    """Mean square of the residuals of each row [grey²], over measured pixels; 0 if there are none."""
 
 
 class Point(NamedTuple):
@@ -128,74 +83,6 @@ class Fit:
     """True if the last step was small."""
 
 
-@partial(jax.jit, static_argnames=("free", "size"))
-@full_precision
-def linearise(
-    seen: Observation, mesh: Mesh, sonar: Sonar, shared: Array, own: Array, sampling: Sampling, std: Array,
-    reference: Array, *, free: tuple[str, ...], size: WindowSize,
-) -> tuple[Array, ...]:  # fmt: skip
-    """The fields of a frame's `Blocks` at `shared` (free + look,) and `own` (4,).
-
-    `std` (row,) are the standard deviations of the residuals [grey]; `reference` [m] is that of `picture`.
-    """
-    change, look = shared[: len(free)], Look(*shared[len(free) :])
-    share = sampling(seen.mask)
-    weight = share / std[:, None] ** 2
-    image = measured_mean(sampling, seen.image, seen.mask)
-
-    def layers_at(step: Array, change: Array, path: Array) -> Array:
-        grown, changed = changed_mesh(mesh, free, change), changed_sonar(sonar, free, change)
-        return object_layers(grown, changed, seen.start, step, path, seen.column, size)
-
-    def residual(layers: Array, change: Array, look: Look, bounce: Array) -> Array:
-        drawn = picture(changed_sonar(sonar, free, change), look, layers, bounce, reference)
-        return fitted(measured_mean(sampling, drawn, seen.mask), image, weight) - image
-
-    found, jacobian = _residual_slopes(layers_at, residual, sonar.n_beams, seen.column, change, look, own)
-    scaled = jnp.abs(found) / std[:, None]
-    robust = jnp.where(scaled > HUBER, HUBER / jnp.maximum(scaled, 1e-6), 1.0)
-    loss = jnp.where(scaled > HUBER, HUBER * (scaled - HUBER / 2), scaled**2 / 2)
-    weighted = jacobian * (robust * weight)
-    hessian = jnp.einsum("irb,jrb->ij", weighted, jacobian)
-    # A plain tuple, because `CpuEngine` stores compiled code in files and does not know the type `Blocks`.
-    square = (robust * share * found**2).sum(axis=1) / jnp.maximum(share.sum(axis=1), 1e-6)
-    return hessian, jnp.einsum("irb,rb->i", weighted, found), (share * loss).sum(), square
-
-
-def _residual_slopes(
-    layers_at: Callable[..., Array], residual: Callable[..., Array], n_beams: int, column: Any, change: Array,
-    look: Look, own: Array,
-) -> tuple[Array, Array]:  # fmt: skip
-    """The residuals (row, column), and their derivatives (number, row, column) in the order of `Blocks`.
-
-    Numbers that enter the picture at the same place are derived together, so that nothing is derived in vain: a display
-    law changes neither the echoes nor what the beams mix.
-    """
-    step, bounce, count = own[:POSE], own[POSE], len(change)
-    steps = tuple(jnp.split(jnp.eye(POSE + count + 1), (POSE, POSE + count), axis=1))
-    by_change, by_path = steps[1], steps[2][:, 0]
-    layers, slopes = (
-        placed(v, column, n_beams) for v in _slopes(layers_at, (step, change, look.floor_path), (*steps[:2], by_path))
-    )
-    found, by_geometry = _slopes(lambda *at: residual(*at, look, bounce), (layers, change), (slopes, by_change))
-    _, by_bounce = _slopes(lambda at: residual(layers, change, look, at), (bounce,), (jnp.ones(1),))
-    by_look = {"floor_path": by_geometry[-1]}
-    for names in LOOK_GROUPS:
-
-        def with_look(values: Array, names: tuple[str, ...] = names) -> Array:
-            return residual(layers, change, look._replace(**dict(zip(names, values, strict=True))), bounce)
-
-        values = jnp.stack([getattr(look, name) for name in names])
-        by_look |= zip(names, _slopes(with_look, (values,), (jnp.eye(len(names)),))[1], strict=True)
-    ordered = jnp.stack([by_look[name] for name in Look._fields])
-    return found, jnp.concatenate([by_geometry[:POSE], by_bounce, by_geometry[POSE:-1], ordered])
-
-
-def _slopes(function: Callable[..., Array], at: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Array, Array]:
-    """A function's value, and its derivatives along `tangents` (tangent, ...)."""
-    return jax.vmap(lambda *t: jax.jvp(function, at, t), out_axes=(None, 0))(*tangents)
-
-
 class _Assembled(NamedTuple):
     """The blocks of all frames at one point."""
 
@@ -226,14 +113,15 @@ def solve_jointly(evaluate: Callable[[Point], Sequence[Blocks]], begin: Point, p
         number = int(np.flatnonzero(~best.sound)[0])
         raise SonarjaxError(f"calibrate: frame {number} of those fitted has no finite derivatives where the fit begins")
     for _ in range(iterations):
-        step = _step(best, prior, radius)
+        newton = _damped_step(best, prior, 0.0)
+        step = newton if newton.length <= radius else _shorter_step(best, prior, radius)
         target = Point(point.shared + step.shared, _bounded(point.own + step.own))
         found = _assembled(evaluate(target), target, prior)
         gained = best.cost - found.cost
         if gained > 0:
             point, best = target, found
         radius = _next_radius(radius, step, gained)
-        settled = step.foreseen < NEGLIGIBLE or radius < LEAST_RADIUS
+        settled = abs(newton.predicted) < NEGLIGIBLE or radius < LEAST_RADIUS
         if settled:
             break
     information, scores = _eliminated(best)
@@ -241,10 +129,10 @@ def solve_jointly(evaluate: Callable[[Point], Sequence[Blocks]], begin: Point, p
 
 
 def _next_radius(radius: float, step: _Step, gained: float) -> float:
-    """The radius of the next step: smaller if the cost fell by much less than foreseen, larger if by about as much."""
-    if gained < 0.25 * step.foreseen:
+    """The radius of the next step: smaller if the cost fell by much less than predicted, larger if by about as much."""
+    if gained < 0.25 * step.predicted:
         return step.length / 4
-    return max(radius, min(2 * step.length, MOST_RADIUS)) if gained > 0.75 * step.foreseen else radius
+    return max(radius, min(2 * step.length, MOST_RADIUS)) if gained > 0.75 * step.predicted else radius
 
 
 _TRUST = np.array(TRUST_OWN)
@@ -285,17 +173,14 @@ class _Step(NamedTuple):
     shared: np.ndarray  # (shared,)
     own: np.ndarray  # (frame, 4)
     length: float  # largest change of a shared number, in units of its trust
-    foreseen: float  # by how much the quadratic model of the cost falls
+    predicted: float  # by how much the cost falls according to its quadratic model
 
 
-def _step(at: _Assembled, prior: Prior, radius: float) -> _Step:
+def _shorter_step(at: _Assembled, prior: Prior, radius: float) -> _Step:
     """The best step whose shared numbers change by at most `radius`, in units of their trust.
 
-    The damping that shortens the step to that is found by bisection (Moré, Numerical Analysis, LNM 630, 1978).
+    The damping that makes it so short is found by bisection (Moré, Numerical Analysis, LNM 630, 1978).
     """
-    step = _damped_step(at, prior, 0.0)
-    if step.length <= radius:
-        return step
     low, high = -12.0, 12.0  # powers of ten
     while high - low > 0.05:
         middle = (low + high) / 2
@@ -313,10 +198,11 @@ def _damped_step(at: _Assembled, prior: Prior, damping: float) -> _Step:
     shared[free] = -np.linalg.solve(whole, (gradients.sum(0) + at.prior_gradient)[free])
     rest = at.own_gradient + np.einsum("fps,s->fp", at.across, shared)
     own = np.clip(-np.einsum("fpq,fq->fp", np.linalg.inv(_damped(at.own, damping)), rest), -_TRUST, _TRUST)
-    return _Step(shared, own, float(np.abs(shared / prior.trust).max(initial=0.0)), _foreseen(at, shared, own))
+    length = float(np.abs(shared / prior.trust).max(initial=0.0))
+    return _Step(shared, own, length, _predicted_decrease(at, shared, own))
 
 
-def _foreseen(at: _Assembled, shared: np.ndarray, own: np.ndarray) -> float:
+def _predicted_decrease(at: _Assembled, shared: np.ndarray, own: np.ndarray) -> float:
     """By how much the quadratic model says that a step lowers the cost."""
     slope = (at.own_gradient * own).sum() + (at.shared_gradient.sum(0) + at.prior_gradient) @ shared
     bend = np.einsum("fp,fpq,fq->", own, at.own, own) + 2 * np.einsum("fp,fps,s->", own, at.across, shared)

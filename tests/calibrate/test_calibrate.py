@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import sonarjax as sj
+from sonarjax.calibrate.linearise import OWN, Observation, linearise
 from sonarjax.calibrate.look import LOOK
 from sonarjax.calibrate.parameters import changed_sonar
 from sonarjax.calibrate.picture import make_sampling
-from sonarjax.calibrate.solver import OWN, Observation, linearise
 from sonarjax.render import WindowSize
 from sonarjax.sensor import SensorModel, observe_scene
 

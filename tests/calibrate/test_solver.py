@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from sonarjax.calibrate.covariance import certainty, overcounted
+from sonarjax.calibrate.linearise import OWN, Blocks
 from sonarjax.calibrate.look import LOOK, LOOK_STD
-from sonarjax.calibrate.solver import BOUNCE, BOUNCE_STD, LOOKS, OWN, Blocks, Point, make_prior, solve_jointly
+from sonarjax.calibrate.solver import BOUNCE, BOUNCE_STD, LOOKS, Point, make_prior, solve_jointly
 from sonarjax.io.errors import SonarjaxError
 
 FREE, STD = ("tilt", "height"), np.array([0.05, 0.1])
@@ -96,6 +97,23 @@ def test_a_step_to_where_nothing_is_finite_is_taken_back(linear) -> None:
 def test_a_frame_without_numbers_at_the_start_is_one_line(linear) -> None:
     with pytest.raises(SonarjaxError, match=f"^calibrate: frame {FRAMES - 1} of those fitted has no finite"):
         solve_jointly(without_numbers(evaluate(linear), lambda _: True), begin(), make_prior(FREE, STD), iterations=3)
+
+
+def test_a_curved_valley_is_followed_to_its_end() -> None:
+    """Rosenbrock's function (Computer J. 3, 1960) of the free numbers in units of their trust, tens of steps away."""
+    prior = make_prior(FREE, np.array([10.0, 10.0]))
+    slopes = np.zeros((2, OWN + SHARED))
+
+    def at(point: Point) -> list[Blocks]:
+        x, y = point.shared[:2] / prior.trust[:2]
+        residual = 30 * np.array([10 * (y - x**2), 1 - x])
+        slopes[:, OWN : OWN + 2] = 30 * np.array([[-20 * x, 10.0], [-1.0, 0.0]]) / prior.trust[:2]
+        return [Blocks(slopes.T @ slopes, slopes.T @ residual, (residual**2).sum() / 2, residual**2)]
+
+    away = Point(begin().shared + [*(prior.trust[:2] * [-3.0, 9.0]), *[0] * LOOKS], begin().own[:1])
+    fit = solve_jointly(at, away, prior, iterations=40)
+    assert fit.converged
+    np.testing.assert_allclose(fit.point.shared[:2] / prior.trust[:2], 1.0, atol=0.02)
 
 
 def test_information_is_the_schur_complement(linear) -> None:
