@@ -75,7 +75,7 @@ LOOK = Look(*(prior.start for prior in _PRIORS))
 LOOK_STD = Look(*(prior.std for prior in _PRIORS))
 """Standard deviations of its prior: the spread of the devices that the package draws."""
 LOOK_TRUST = Look(*(prior.trust for prior in _PRIORS))
-"""Largest change in one iteration."""
+"""Scales of the steps of a fit, see `Parameter.trust`."""
 LEAST_EXPONENT = 0.02
 """Least power of energy [1], which is practically a logarithm."""
 

@@ -22,7 +22,7 @@ class Parameter(NamedTuple):
     std: float
     """Standard deviation of the usual prior [unit]."""
     trust: float
-    """Largest step of one iteration [unit]."""
+    """Scale of the steps of a fit [unit]: how far the picture is nearly linear."""
     unit: str
     """rad, m, or 1 for a ratio."""
 

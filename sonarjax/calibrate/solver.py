@@ -48,7 +48,7 @@ class Prior(NamedTuple):
     std: np.ndarray
     """Standard deviations (shared,)."""
     trust: np.ndarray
-    """Largest step (shared,) of one iteration."""
+    """Scales (shared,) of their steps, see `Parameter.trust`."""
     fixed: np.ndarray
     """Which numbers (shared,) stay as they are."""
     overcounted: float = 1.0
