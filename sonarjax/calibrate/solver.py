@@ -23,8 +23,8 @@ BOUNCE, BOUNCE_STD = 0.2, 0.2
 TRUST_OWN = (0.12, 0.03, 0.03, 0.2)
 """Largest step of a frame's own numbers in one iteration."""
 NEGLIGIBLE = 0.05
-"""The fit has settled when the undamped step is predicted to lower the cost by less: no number would change by more than
-a third of its standard deviation.
+"""The fit has settled when the undamped step is predicted to lower the cost by less: no number would change by more
+than a third of its standard deviation.
 """
 MOST_RADIUS, LEAST_RADIUS = 2.0, 1e-3
 """The longest step, and the one below which the search for a better one is given up, in units of trust."""
