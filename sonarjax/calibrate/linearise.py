@@ -16,7 +16,7 @@ from sonarjax.calibrate.parameters import changed_mesh, changed_sonar
 from sonarjax.calibrate.picture import Sampling, fitted, measured_mean, object_layers, picture, placed
 from sonarjax.exact import full_precision
 from sonarjax.records import record
-from sonarjax.refine.template import POSE
+from sonarjax.refine.template import POSE, with_slopes
 from sonarjax.render import WindowSize
 from sonarjax.scene import Mesh, Pose
 from sonarjax.sonar import Sonar
@@ -103,13 +103,13 @@ def _residual_slopes(
     law changes neither the echoes nor what the beams mix.
     """
     step, bounce, count = own[:POSE], own[POSE], len(change)
-    steps = tuple(jnp.split(jnp.eye(POSE + count + 1), (POSE, POSE + count), axis=1))
-    by_change, by_path = steps[1], steps[2][:, 0]
-    layers, slopes = (
-        placed(v, column, n_beams) for v in _slopes(layers_at, (step, change, look.floor_path), (*steps[:2], by_path))
+    by_step, by_change, by_path = jnp.split(jnp.eye(POSE + count + 1), (POSE, POSE + count), axis=1)
+    at, along = (step, change, look.floor_path), (by_step, by_change, by_path[:, 0])
+    layers, slopes = (placed(v, column, n_beams) for v in with_slopes(layers_at, at, along))
+    found, by_geometry = with_slopes(
+        lambda *moved: residual(*moved, look, bounce), (layers, change), (slopes, by_change)
     )
-    found, by_geometry = _slopes(lambda *at: residual(*at, look, bounce), (layers, change), (slopes, by_change))
-    _, by_bounce = _slopes(lambda at: residual(layers, change, look, at), (bounce,), (jnp.ones(1),))
+    _, by_bounce = with_slopes(lambda left: residual(layers, change, look, left), (bounce,), (jnp.ones(1),))
     by_look = {"floor_path": by_geometry[-1]}
     for names in LOOK_GROUPS:
 
@@ -117,11 +117,6 @@ def _residual_slopes(
             return residual(layers, change, look._replace(**dict(zip(names, values, strict=True))), bounce)
 
         values = jnp.stack([getattr(look, name) for name in names])
-        by_look |= zip(names, _slopes(with_look, (values,), (jnp.eye(len(names)),))[1], strict=True)
+        by_look |= zip(names, with_slopes(with_look, (values,), (jnp.eye(len(names)),))[1], strict=True)
     ordered = jnp.stack([by_look[name] for name in Look._fields])
     return found, jnp.concatenate([by_geometry[:POSE], by_bounce, by_geometry[POSE:-1], ordered])
-
-
-def _slopes(function: Callable[..., Array], at: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Array, Array]:
-    """A function's value, and its derivatives along `tangents` (tangent, ...)."""
-    return jax.vmap(lambda *t: jax.jvp(function, at, t), out_axes=(None, 0))(*tangents)

@@ -2,6 +2,9 @@
 
 A frame's pose affects only its own residuals, so the poses are eliminated frame by frame (the Schur complement; Triggs
 et al., Bundle Adjustment, 2000, sec. 6). The cost is linear in the number of frames.
+
+A trust region shortens a step as a whole. Numbers that are clipped one by one would bend it off the direction in which
+the cost falls.
 """
 
 from __future__ import annotations
@@ -80,7 +83,7 @@ class Fit:
     costs: np.ndarray
     """Each frame's cost (frame,)."""
     converged: bool
-    """True if the last step was small."""
+    """True if a further step is predicted to gain next to nothing, or if even the shortest gains nothing."""
 
 
 class _Assembled(NamedTuple):

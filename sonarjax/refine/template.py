@@ -9,8 +9,9 @@ there, as bars inside the shadow; sound that bounces on one way only arrives bet
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, Literal
 
 import jax
@@ -116,16 +117,20 @@ def draw(subject: Subject, step: Float[Array, "step"], reverse: bool = False) ->
     return paint(subject, render_layers(subject, step[:count], reverse), step[count:])
 
 
+def with_slopes(function: Callable[..., Array], at: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Array, Array]:
+    """A function's value at the arguments `at`, and its forward-mode derivatives (tangent, ...) along `tangents`.
+
+    `tangents` has an array (tangent, ...) for each argument. The value is computed once for all of them.
+    """
+    return jax.vmap(lambda *along: jax.jvp(function, at, along), out_axes=(None, 0))(*tangents)
+
+
 def layers_with_slope(
     subject: Subject, step: Float[Array, "step"]
 ) -> tuple[Float[Array, "view layer range beam"], Float[Array, "pose view layer range beam"]]:
     """`render_layers`, and its forward-mode derivatives by each free number of the pose."""
     count = len(subject.free)
-
-    def render(pose: Array) -> Array:
-        return render_layers(subject, pose)
-
-    return jax.vmap(lambda along: jax.jvp(render, (step[:count],), (along,)), out_axes=(None, 0))(jnp.eye(count))
+    return with_slopes(partial(render_layers, subject), (step[:count],), (jnp.eye(count),))
 
 
 def paint_with_slope(
@@ -137,10 +142,7 @@ def paint_with_slope(
     by_bounces = jnp.concatenate([jnp.zeros((len(slopes), len(bounces))), jnp.eye(len(bounces))])
     slopes = jnp.concatenate([slopes, jnp.zeros((len(bounces), *layers.shape))])
 
-    def along(slope: Array, bounce_slope: Array) -> tuple[Array, Array]:
-        return jax.jvp(lambda drawn, energy: paint(subject, drawn, energy), (layers, bounces), (slope, bounce_slope))
-
-    return jax.vmap(along, out_axes=(None, 0))(slopes, by_bounces)
+    return with_slopes(partial(paint, subject), (layers, bounces), (slopes, by_bounces))
 
 
 def render_layers(

@@ -33,6 +33,7 @@ from sonarjax.refine.template import (
     nominal_law,
     paint_with_slope,
     semantic_template,
+    with_slopes,
 )
 from sonarjax.refine.uncertainty import Normal, error_covariance, normal_equations, observability, prior_std
 from sonarjax.render import RenderQuality, WindowSize, place_window
@@ -124,9 +125,7 @@ def linearise(
     rows, blur = inside[::ROW_STRIDE], make_blur((size.shape[0], size.shape[1]), sigma)
     seen = normalised(blur(part * inside), rows)
     blurred, *changes = blur(jnp.concatenate([drawn[None], slope]) * inside)
-    fitted, jacobian = jax.vmap(
-        lambda change: jax.jvp(lambda v: normalised(v, rows), (blurred,), (change,)), out_axes=(None, 0)
-    )(jnp.stack(changes))
+    fitted, jacobian = with_slopes(lambda drawn: normalised(drawn, rows), (blurred,), (jnp.stack(changes),))
     off = fitted - seen
     cost = (off**2).sum() / 2
     comparable = jnp.any(drawn * inside != 0) & jnp.isfinite(cost)

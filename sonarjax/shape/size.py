@@ -51,7 +51,7 @@ class SizeEstimate:
     residual: np.ndarray
     """RMS of each frame's residuals (frame,), divided by the median over all frames."""
     converged: bool
-    """True if the last step was small."""
+    """True if the fit has settled: a further step would gain next to nothing."""
 
     @property
     def std(self) -> dict[str, float]:

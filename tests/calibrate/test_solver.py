@@ -100,7 +100,7 @@ def test_a_frame_without_numbers_at_the_start_is_one_line(linear) -> None:
 
 
 def test_a_curved_valley_is_followed_to_its_end() -> None:
-    """Rosenbrock's function (Computer J. 3, 1960) of the free numbers in units of their trust, tens of steps away."""
+    """Rosenbrock's function (Computer J. 3, 1960) of the free numbers, in units of trust from (−3, 9) to (1, 1)."""
     prior = make_prior(FREE, np.array([10.0, 10.0]))
     slopes = np.zeros((2, OWN + SHARED))
 
