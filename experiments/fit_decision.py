@@ -4,10 +4,10 @@ python -m experiments.fit_decision [--segmenter FILE --into FILE] [--preset smok
 
 A logistic regression weighs the evidence of `sonarjax.refine.evidence`, its AUC also given with each object left out of
 the fit in turn; one half is its threshold. Another one tells frames with an object from frames without, on open floor
-and in tanks. `yaw_std` is corrected so that the errors are most likely. Validation frames show other objects and other
-devices than any test: see `experiments.common.validation`. `--piles` fits to more objects, and did not carry over
-(docs/outside.md). What is found stands in the weights file's metadata, `sonarjax.segment.rule` and
-`sonarjax.refine.errorbar`.
+and in tanks. Error bars are those under which the errors are most likely, scaled to hold 68 % of them. Validation
+frames show other objects and other devices than any test: see `experiments.common.validation`. `--piles` fits to more
+objects, and did not carry over (docs/outside.md). What is found stands in the weights file's metadata,
+`sonarjax.segment.rule` and `sonarjax.refine.errorbar`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import sonarjax as sj
 from experiments.common.drawn_piles import pile_scenes
 from experiments.common.frames import TILTS_DEG
 from experiments.common.launch import Report, launch
-from experiments.common.likelihood import log_widening, unlikeliness
+from experiments.common.likelihood import log_scale, unlikeliness
 from experiments.common.metrics import columns, yaw_error_deg
 from experiments.common.recognizers import recognizers
 from experiments.common.runs import Job
@@ -198,7 +198,7 @@ def _alarms(probability: np.ndarray) -> float:
 
 
 def fit_error_bar(values: Measured) -> ErrorBar:
-    """The error bar under which the targets' errors are most likely, scaled by `log_widening`.
+    """The error bar under which the targets' errors are most likely, scaled to hold 68 % of them.
 
     A few frames go astray, and would widen all others' error bars: they are left out.
     """
@@ -215,7 +215,7 @@ def fit_error_bar(values: Measured) -> ErrorBar:
 
     beta = minimize(loss, [np.log(np.median(error)), *np.zeros(known.shape[1])]).x
     weights = beta[1:] / spread
-    offset = beta[0] - weights @ mean + log_widening(error, std(beta))
+    offset = beta[0] - weights @ mean + log_scale(error, std(beta))
     return ErrorBar(float(offset), *(float(w) for w in weights))
 
 

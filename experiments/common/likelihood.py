@@ -23,3 +23,8 @@ def log_widening(error: np.ndarray, std: np.ndarray) -> float:
     """
     one, two = np.quantile(error / std, WITHIN)
     return float(np.log(one * two / 2) / 2)
+
+
+def log_scale(error: np.ndarray, std: np.ndarray) -> float:
+    """Logarithm of the factor by which standard deviations (error,) hold 68 % of the sizes of errors (error,)."""
+    return float(np.log(np.quantile(error / std, WITHIN[0])))
