@@ -75,7 +75,7 @@ class TrackConfig:
     """Standard deviation of the error of x and of y that all frames share, in the sonar's frame [m]."""
     place_std: float = 0.005
     """Standard deviation of the error of x and of y that differs from frame to frame [m]."""
-    yaw_scale: float = 0.6
+    yaw_scale: float = 0.75
     """Factor on the recognizer's `yaw_std` for the part of the error that differs from frame to frame [1];
     `floor` is added to it in quadrature.
     """
