@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,7 @@ import sonarjax as sj
 from experiments.common.engine import engine
 from experiments.common.frames import observed, sonar_for
 from experiments.common.launch import Report, launch
+from experiments.common.likelihood import log_scale
 from experiments.common.metrics import columns, yaw_error_deg
 from experiments.common.outside import OutsideFrame, read_set
 from experiments.common.runs import Job
@@ -85,7 +86,8 @@ def run(settings: Settings, job: Job) -> Report:
         f"{what}_{name}": np.array([one[what][name] for one in drawn.values()])
         for what in ("error", "std", "bound") for name in FREE
     })  # fmt: skip
-    return {"rows": rows, "sets": [row for one in sets.values() for row in one], "calibration_s": seconds}
+    rows_of_sets = [row for one in sets.values() for row in one]
+    return {"rows": rows, "sets": rows_of_sets, "calibration_s": seconds, "stds_of_68": _stds_of_68(drawn.values())}
 
 
 def _drawn(settings: Settings, seed: int, number: int) -> dict[str, Any]:
@@ -145,6 +147,12 @@ def _summary(found: Sequence[dict[str, Any]], name: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def _stds_of_68(found: Iterable[dict[str, Any]]) -> float | None:
+    """The number of standard deviations within which 68 % of all errors of determined numbers lie; None without any."""
+    pairs = [(abs(one["error"][n]), one["std"][n]) for one in found for n in FREE if one["determined"][n]]
+    return math.exp(log_scale(*np.array(pairs).T)) if pairs else None
+
+
 def _external(folder: Path, name: str, settings: Settings) -> list[dict[str, Any]]:
     judged = read_set(folder)
     sonars = list({id(frame.sonar): frame.sonar for frame in judged.frames}.values())
@@ -187,6 +195,8 @@ def table(report: Report) -> str:
         parts.append(columns(report["rows"], HEADS))
         if "calibration_s" in report:  # `seconds` is the whole run's
             parts.append(f"one calibration: {report['calibration_s']:.0f} s")
+        if report.get("stds_of_68"):
+            parts.append(f"68 % of the errors of determined numbers lie within {report['stds_of_68']:.2f} std")
     if report["sets"]:
         parts.append(columns(report["sets"], SET_HEADS))
     return "\n\n".join(parts)

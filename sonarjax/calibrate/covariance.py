@@ -29,7 +29,9 @@ class Certainty(NamedTuple):
     """Least standard deviation (free,) that an estimator can have, see `Calibration.bound`."""
 
 
-def certainty(information: np.ndarray, scores: np.ndarray, std: np.ndarray, free: Sequence[str]) -> Certainty:
+def certainty(
+    information: np.ndarray, scores: np.ndarray, std: np.ndarray, free: Sequence[str], widening: float = 1.0
+) -> Certainty:
     """Judge how well a fit determines the free numbers.
 
     The variance of the numbers is taken from how much the frames disagree, mixed with what the information says, which
@@ -41,6 +43,7 @@ def certainty(information: np.ndarray, scores: np.ndarray, std: np.ndarray, free
         scores: Each frame's derivatives of the cost (frame, shared).
         std: Standard deviations of the priors (free,).
         free: Names of the free numbers.
+        widening: Factor on the standard deviations that the frames imply [1], for errors that all frames share.
     """
     count, frames = len(free), len(scores)
     of_free, across, of_look = information[:count, :count], information[:count, count:], information[count:, count:]
@@ -51,7 +54,7 @@ def certainty(information: np.ndarray, scores: np.ndarray, std: np.ndarray, free
     inverse = np.linalg.inv(information + prior)
     centred = scores - scores.mean(axis=0)
     seen = centred.T @ centred * frames / max(frames - 1, 1)
-    spread = (frames * seen + MODEL_FRAMES * information) / (frames + MODEL_FRAMES)
+    spread = (frames * seen + MODEL_FRAMES * information) / (frames + MODEL_FRAMES) * widening**2
     covariance = (inverse @ (spread + prior) @ inverse)[:count, :count]
     left = np.sqrt(np.diag(covariance)) / std
     return Certainty(

@@ -62,6 +62,8 @@ class Job(NamedTuple):
     """Runs the compiled functions."""
     progress: Callable[[str], None]
     """Called with a text that says what is being done."""
+    widening: float = 1.0
+    """Factor on the standard deviations that the frames imply [1], see `certainty`."""
 
 
 def with_nominal_look(change: np.ndarray) -> np.ndarray:
@@ -83,7 +85,7 @@ def fit_frames(
     observations = [_observation(job, frame, at, size, change) for frame, at in zip(frames, starts, strict=True)]
     point = Point(begin, np.tile(np.eye(OWN)[POSE] * BOUNCE, (len(observations), 1)))
     fit = _fitted(job, observations, size, point, (), stages)
-    known = certainty(fit.information, fit.scores, job.std, job.free)
+    known = certainty(fit.information, fit.scores, job.std, job.free, job.widening)
     loose = tuple(name for name, told in known.determined.items() if not told)
     if loose:
         kept = np.array([name not in loose for name in job.free] + [True] * len(LOOK))

@@ -156,6 +156,14 @@ def test_numbers_that_only_a_sum_determines_are_not_determined() -> None:
     assert known.weakest["tilt"] == pytest.approx(-known.weakest["height"], rel=1e-6)
 
 
+def test_errors_that_all_frames_share_widen_what_the_frames_say_and_not_the_prior() -> None:
+    information = np.diag([1e6 / STD[0] ** 2, 1e-6 / STD[1] ** 2, *np.ones(LOOKS)])
+    known, wider = (certainty(information, agreeing(information), STD, FREE, factor) for factor in (1.0, 2.0))
+    ratio = np.sqrt(np.diag(wider.covariance) / np.diag(known.covariance))
+    np.testing.assert_allclose(ratio, [2.0, 1.0], rtol=1e-4)
+    np.testing.assert_allclose(wider.bound, known.bound)
+
+
 def test_frames_that_disagree_widen_the_covariance() -> None:
     """With many frames and a wide prior, the covariance is that of each frame's own estimate over their number."""
     rng = np.random.default_rng(3)
