@@ -40,7 +40,7 @@ MIN_COMPILE_SECONDS = 0.2
 FLAGS = ("--xla_cpu_use_fusion_emitters=false",) if jax.__version_info__ < (0, 11) else ()
 COMPILER_OPTIONS = {"xla_backend_optimization_level": 1, "xla_llvm_disable_expensive_passes": True}
 """How the programs of `CpuEngine` are compiled: in four fifths of the time, into code that is as fast as far as
-measurements on two busy cores can tell.
+measurements on two busy cores can tell. JAX_DISABLE_MOST_OPTIMIZATIONS, a setting of JAX, goes before them.
 """
 # <malloc.h>: M_ARENA_MAX, M_MMAP_MAX, M_TRIM_THRESHOLD and M_TOP_PAD.
 _MEMORY = {-8: 1, -4: 0, -1: 2**31 - 1, -2: 256 * 2**20}
@@ -187,7 +187,8 @@ class CpuEngine(Engine):
 
     def _compile(self, key: Any, program: Future[Any], lowered: Any) -> None:
         with self._told(key, program):
-            program.set_result(lowered.compile(compiler_options=COMPILER_OPTIONS))
+            usual = not jax.config.read("jax_disable_most_optimizations")
+            program.set_result(lowered.compile(compiler_options=COMPILER_OPTIONS if usual else None))
 
     @contextmanager
     def _told(self, key: Any, program: Future[Any]) -> Iterator[None]:

@@ -26,10 +26,6 @@ cpu.enable_compilation_cache()
 jax.config.update("jax_enable_x64", False)
 
 
-OPTIMISATION = "xla_backend_optimization_level"
-USUAL_LEVEL = cpu.COMPILER_OPTIONS[OPTIMISATION]
-
-
 @pytest.hookimpl(tryfirst=True)  # before the fixtures of a module, which compile too
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """Leave code without optimisation, which halves the time of most tests: they compile more than they compute.
@@ -40,7 +36,6 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
     quick = item.get_closest_marker("computes") is None
     jax.config.update("jax_disable_most_optimizations", quick)
     os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = str(int(quick))
-    cpu.COMPILER_OPTIONS[OPTIMISATION] = 0 if quick else USUAL_LEVEL
 
 
 @pytest.fixture(autouse=True)

@@ -63,6 +63,21 @@ def test_plain_numbers_pass_as_they_do_through_jit(tmp_path):
     assert found.dtype == jnp.float32
 
 
+@pytest.mark.parametrize(("unoptimised", "wanted"), [(False, cpu.COMPILER_OPTIONS), (True, None)])
+def test_jax_s_own_setting_goes_before_the_engine_s_options(unoptimised, wanted, tmp_path, monkeypatch):
+    options = []
+
+    class Lowered:
+        def compile(self, compiler_options):
+            options.append(compiler_options)
+            return sum
+
+    monkeypatch.setattr(cpu, "_lowered", lambda *_: Lowered())
+    jax.config.update("jax_disable_most_optimizations", unoptimised)  # set again before the next test
+    assert float(cpu.CpuEngine(tmp_path).run(powers, 2.0, count=3)) == 2.0
+    assert options == [wanted]
+
+
 def test_inside_a_trace_it_is_a_plain_call(tmp_path):
     engine = cpu.CpuEngine(tmp_path)
     slope = jax.grad(lambda x: engine.run(powers, x, count=3).sum())(2.0)
