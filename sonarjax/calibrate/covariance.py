@@ -43,7 +43,8 @@ def certainty(
         scores: Each frame's derivatives of the cost (frame, shared).
         std: Standard deviations of the priors (free,).
         free: Names of the free numbers.
-        widening: Factor on the standard deviations that the frames imply [1], for errors that all frames share.
+        widening: Factor on the standard deviations that the frames imply [1], for errors that all frames share. It does
+            not decide what is determined.
     """
     count, frames = len(free), len(scores)
     of_free, across, of_look = information[:count, :count], information[:count, count:], information[count:, count:]
@@ -54,11 +55,10 @@ def certainty(
     inverse = np.linalg.inv(information + prior)
     centred = scores - scores.mean(axis=0)
     seen = centred.T @ centred * frames / max(frames - 1, 1)
-    spread = (frames * seen + MODEL_FRAMES * information) / (frames + MODEL_FRAMES) * widening**2
-    covariance = (inverse @ (spread + prior) @ inverse)[:count, :count]
-    left = np.sqrt(np.diag(covariance)) / std
+    spread = (frames * seen + MODEL_FRAMES * information) / (frames + MODEL_FRAMES)
+    left = np.sqrt(np.diag(inverse @ (spread + prior) @ inverse)[:count]) / std
     return Certainty(
-        covariance=covariance,
+        covariance=(inverse @ (widening**2 * spread + prior) @ inverse)[:count, :count],
         determined={name: bool(share <= OBSERVABLE) for name, share in zip(free, left, strict=True)},
         singular_values=np.sqrt(np.maximum(values[::-1], 0.0)),
         weakest=dict(zip(free, directions[:, 0].tolist(), strict=True)),
