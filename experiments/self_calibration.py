@@ -31,6 +31,7 @@ from experiments.common.metrics import columns, yaw_error_deg
 from experiments.common.outside import OutsideFrame, read_set
 from experiments.common.runs import Job
 from experiments.common.sets import target
+from sonarjax.calibrate.calibration import WIDENING
 from sonarjax.calibrate.parameters import changed_sonar
 from sonarjax.sensor import SensorModel
 
@@ -87,7 +88,7 @@ def run(settings: Settings, job: Job) -> Report:
         for what in ("error", "std", "bound") for name in FREE
     })  # fmt: skip
     rows_of_sets = [row for one in sets.values() for row in one]
-    return {"rows": rows, "sets": rows_of_sets, "calibration_s": seconds, "stds_of_68": _stds_of_68(drawn.values())}
+    return {"rows": rows, "sets": rows_of_sets, "calibration_s": seconds, "widening": _widening(drawn.values())}
 
 
 def _drawn(settings: Settings, seed: int, number: int) -> dict[str, Any]:
@@ -147,10 +148,10 @@ def _summary(found: Sequence[dict[str, Any]], name: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _stds_of_68(found: Iterable[dict[str, Any]]) -> float | None:
-    """The number of standard deviations within which 68 % of all errors of determined numbers lie; None without any."""
+def _widening(found: Iterable[dict[str, Any]]) -> float | None:
+    """The `WIDENING` with which 68 % of all errors of determined numbers would lie within a standard deviation."""
     pairs = [(abs(one["error"][n]), one["std"][n]) for one in found for n in FREE if one["determined"][n]]
-    return math.exp(log_scale(*np.array(pairs).T)) if pairs else None
+    return WIDENING * math.exp(log_scale(*np.array(pairs).T)) if pairs else None
 
 
 def _external(folder: Path, name: str, settings: Settings) -> list[dict[str, Any]]:
@@ -195,8 +196,8 @@ def table(report: Report) -> str:
         parts.append(columns(report["rows"], HEADS))
         if "calibration_s" in report:  # `seconds` is the whole run's
             parts.append(f"one calibration: {report['calibration_s']:.0f} s")
-        if report.get("stds_of_68"):
-            parts.append(f"68 % of the errors of determined numbers lie within {report['stds_of_68']:.2f} std")
+        if report.get("widening"):  # None if nothing is determined
+            parts.append(f"widening that holds 68 % of the errors of determined numbers: {report['widening']:.2f}")
     if report["sets"]:
         parts.append(columns(report["sets"], SET_HEADS))
     return "\n\n".join(parts)

@@ -36,7 +36,7 @@ LEAST_SHARE, LEAST_FRAMES = 0.25, 3
 WIDENING = 1.47
 """Factor on the standard deviations that the frames imply [1]. Devices differ in more ways than the fitted look. All
 frames of one device share the error that this makes, so they do not disagree about it. Fitted to the errors on drawn
-devices of another seed than the table's (`python -m experiments.self_calibration --seeds 1`, with this factor at 1).
+devices of another seed than those of the docs (`python -m experiments.self_calibration --seeds 1`).
 """
 FIRST_FRAMES = 10
 """Most frames of the first fit, whose result only has to be good enough to search again."""
