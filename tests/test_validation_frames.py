@@ -54,9 +54,8 @@ def test_a_leaning_object_floats_as_little_as_asked_and_both_sonars_look_at_it()
 def test_neither_bare_floor_nor_noise_is_identified() -> None:
     """Frames of another seed than those to which the rule was fitted, and noise that no sonar took."""
     sonar, noise = sonar_for(20.0), np.random.default_rng(0)
-    recognizers = {name: sj.Recognizer(scenes()[name].target, sonar, engine=engine()) for name in ("tower", "mug")}
-    cases = [case for case in empty_cases(1, 20, tilts_deg=(20.0,)) if case.sought in recognizers]
-    assert len(cases) == 8
+    recognizers = {name: sj.Recognizer(scene.target, sonar, engine=engine()) for name, scene in scenes().items()}
+    cases = empty_cases(1, 10, tilts_deg=(20.0,))
     assert all((case.clean == 0.5).all() and not case.is_target for case in cases)
     assert sum(recognizers[case.sought](case.image).identified for case in cases) <= 1
     seek = recognizers["tower"]
