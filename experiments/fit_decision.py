@@ -24,7 +24,7 @@ import sonarjax as sj
 from experiments.common.drawn_piles import pile_scenes
 from experiments.common.frames import TILTS_DEG
 from experiments.common.launch import Report, launch
-from experiments.common.likelihood import log_scale, unlikeliness
+from experiments.common.likelihood import scale_to_68, unlikeliness
 from experiments.common.metrics import columns, yaw_error_deg
 from experiments.common.recognizers import recognizers
 from experiments.common.runs import Job
@@ -215,7 +215,7 @@ def fit_error_bar(values: Measured) -> ErrorBar:
 
     beta = minimize(loss, [np.log(np.median(error)), *np.zeros(known.shape[1])]).x
     weights = beta[1:] / spread
-    offset = beta[0] - weights @ mean + log_scale(error, std(beta))
+    offset = beta[0] - weights @ mean + np.log(scale_to_68(error, std(beta)))
     return ErrorBar(float(offset), *(float(w) for w in weights))
 
 

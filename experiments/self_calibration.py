@@ -26,7 +26,7 @@ import sonarjax as sj
 from experiments.common.engine import engine
 from experiments.common.frames import observed, sonar_for
 from experiments.common.launch import Report, launch
-from experiments.common.likelihood import log_scale
+from experiments.common.likelihood import scale_to_68
 from experiments.common.metrics import columns, yaw_error_deg
 from experiments.common.outside import OutsideFrame, read_set
 from experiments.common.runs import Job
@@ -151,7 +151,7 @@ def _summary(found: Sequence[dict[str, Any]], name: str) -> dict[str, Any]:
 def _widening(found: Iterable[dict[str, Any]]) -> float | None:
     """The `WIDENING` with which 68 % of all errors of determined numbers would lie within a standard deviation."""
     pairs = [(abs(one["error"][n]), one["std"][n]) for one in found for n in FREE if one["determined"][n]]
-    return WIDENING * math.exp(log_scale(*np.array(pairs).T)) if pairs else None
+    return WIDENING * scale_to_68(*np.array(pairs).T) if pairs else None
 
 
 def _external(folder: Path, name: str, settings: Settings) -> list[dict[str, Any]]:

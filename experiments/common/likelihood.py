@@ -25,6 +25,6 @@ def log_widening(error: np.ndarray, std: np.ndarray) -> float:
     return float(np.log(one * two / 2) / 2)
 
 
-def log_scale(error: np.ndarray, std: np.ndarray) -> float:
-    """Logarithm of the factor by which standard deviations (error,) hold 68 % of the sizes of errors (error,)."""
-    return float(np.log(np.quantile(error / std, WITHIN[0])))
+def scale_to_68(error: np.ndarray, std: np.ndarray) -> float:
+    """Factor with which standard deviations (error,) hold 68 % of the sizes of errors (error,)."""
+    return float(np.quantile(error / std, WITHIN[0]))

@@ -64,7 +64,7 @@ class Calibration:
     """Covariance of that change (free, free), given frames and prior."""
     determined: dict[str, bool]
     """For each free number, whether the frames determine it: they halve the standard deviation of its prior or
-    do better.
+    do better, before it is widened by `WIDENING`.
     """
     singular_values: np.ndarray
     """Singular values of the frames' information about the free numbers, in units of their priors (free,),

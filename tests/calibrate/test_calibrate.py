@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 import sonarjax as sj
+from sonarjax.calibrate.calibration import WIDENING
 from sonarjax.calibrate.linearise import OWN, Observation, linearise
 from sonarjax.calibrate.look import LOOK
 from sonarjax.calibrate.parameters import changed_sonar
@@ -73,12 +75,18 @@ def test_where_the_target_is_known_to_be_no_frame_is_left_out(frames) -> None:
 
 @pytest.mark.slow
 @pytest.mark.computes
-def test_known_poses_leave_the_target_unsearched(frames) -> None:
+def test_known_poses_leave_the_target_unsearched(frames, monkeypatch: pytest.MonkeyPatch) -> None:
     images, poses = frames
     at = jax.tree.map(lambda *v: jnp.stack([jnp.asarray(x, jnp.float32) for x in v]), *poses[:-1])
-    found = sj.calibrate(images[:-1], sj.objects.target(), NOMINAL, poses=at, prior={"tilt": 0.05, "height": 0.05})
+    how = {"poses": at, "prior": {"tilt": 0.05, "height": 0.05}}
+    found = sj.calibrate(images[:-1], sj.objects.target(), NOMINAL, **how)
     assert found.used.all()
     assert found.change[1] == pytest.approx(OFF[1], abs=0.01)
+    monkeypatch.setattr(sys.modules["sonarjax.calibrate.calibration"], "WIDENING", 1.0)
+    plain = sj.calibrate(images[:-1], sj.objects.target(), NOMINAL, **how)
+    np.testing.assert_array_equal(plain.change, found.change)
+    for name in FREE:  # what the priors add is not widened
+        assert 1.3 < found.std[name] / plain.std[name] < WIDENING
 
 
 @pytest.mark.slow
