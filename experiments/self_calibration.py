@@ -6,6 +6,7 @@ Drawn devices: each has another look, tilt, height, range scale and azimuth scal
 the target at random yaws and places, and in some frames another object. `calibrate` is told neither poses nor which
 frames show the target. With the other simulator's folder (or SONARJAX_EXTERNAL_DATA) its sets `off_geometry` follow:
 one half of their frames calibrates, the other half is recognized with the nominal, the fitted and the true geometry.
+They are calibrated twice: with the vertical aperture taken as known, and with it free.
 """
 
 from __future__ import annotations
@@ -39,6 +40,8 @@ FREE = ("tilt", "height", "range_scale", "azimuth_scale")
 """What is free in the drawn sets."""
 OFF = (math.radians(5.0), 0.3, 0.01, 0.02)
 """By how much each differs from the nominal sonar at most [rad, m, 1, 1]; the prior is told this as its deviation."""
+EXTERNAL_OFF = {"tilt": math.radians(3.0), "height": 0.05, "elevation_aperture": math.radians(1.0)}
+"""What the prior is told of the other simulator's sonar [rad, m, rad]. Data sheets state apertures in whole degrees."""
 OTHERS = 0.2
 """Share of the drawn frames that show another object."""
 RIGHT_DEG = 5.0
@@ -162,20 +165,31 @@ def _external(folder: Path, name: str, settings: Settings) -> list[dict[str, Any
     half = len(frames) // 2
     first, rest, true = frames[:half], frames[half:], frames[0].true_sonar
     assert true is not None
-    found = sj.calibrate(
-        [frame.image for frame in first], judged.target, nominal, prior={"tilt": math.radians(3.0), "height": 0.05},
-        segmenter=settings.segmenter, engine=engine(),
-    )  # fmt: skip
+    free = ("tilt", "height", "elevation_aperture")
+    known, unknown = (_calibrated(first, judged.target, nominal, names, settings) for names in (free[:2], free))
+    found = {"fitted": known, "fitted, aperture free": unknown}
+    fitted = {geometry: one.sonar for geometry, one in found.items()}
     rows = []
-    for geometry, sonar in (("nominal", nominal), ("fitted", found.sonar), ("true", true)):
+    for geometry, sonar in ({"nominal": nominal} | fitted | {"true": true}).items():
         row = {"name": name, "geometry": geometry, "right": _right(rest, judged.target, sonar, settings.segmenter)}
         row["tilt"] = math.degrees(float(sonar.tilt) - float(true.tilt))
         row["height"] = 100 * (float(sonar.height) - float(true.height))
-        if geometry == "fitted":
-            row |= {"tilt_std": math.degrees(found.std["tilt"]), "height_std": 100 * found.std["height"]}
-            row |= {"tilt_bound": math.degrees(found.bound["tilt"]), "height_bound": 100 * found.bound["height"]}
+        if geometry in found:
+            std, bound = found[geometry].std, found[geometry].bound
+            row |= {"tilt_std": math.degrees(std["tilt"]), "height_std": 100 * std["height"]}
+            row |= {"tilt_bound": math.degrees(bound["tilt"]), "height_bound": 100 * bound["height"]}
         rows.append(row)
     return rows
+
+
+def _calibrated(
+    frames: Sequence[OutsideFrame], mesh: sj.Mesh, nominal: sj.Sonar, free: Sequence[str], settings: Settings
+) -> sj.Calibration:
+    """The calibration from these frames, which may show another object, at poses that are searched for."""
+    images, prior = [frame.image for frame in frames], {name: EXTERNAL_OFF[name] for name in free}
+    return sj.calibrate(
+        images, mesh, nominal, free=free, prior=prior, segmenter=settings.segmenter, engine=engine()
+    )  # fmt: skip
 
 
 def _right(frames: Sequence[OutsideFrame], mesh: sj.Mesh, sonar: sj.Sonar, segmenter: str) -> float:
