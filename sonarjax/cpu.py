@@ -192,12 +192,17 @@ class CpuEngine(Engine):
 
     @contextmanager
     def _told(self, key: Any, program: Future[Any]) -> Iterator[None]:
-        """Pass an error on to all threads that wait for the program. The next call tries again."""
+        """Pass an error on to all threads that wait for the program. The next call tries again.
+
+        An interrupt is raised here too, because nobody may be waiting.
+        """
         try:
             yield
         except BaseException as error:
             self._programs.pop(key, None)
             program.set_exception(error)
+            if not isinstance(error, Exception):
+                raise
 
     def map(self, function: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
         """Call a function for each item, with a thread for each core.

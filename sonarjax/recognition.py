@@ -41,8 +41,8 @@ class Recognition:
     target: str
     """Name of the target that matches best."""
     score: float
-    """By the segmenter's `rule`, the smaller of two probabilities: that the object is the target, and that any object is
-    shown. This is compared with the threshold.
+    """By the segmenter's `rule`, the smaller of two probabilities: that the object is the target, and that any object
+    is shown. This is compared with the threshold.
 
     It equals `score_bank`, eq. 5's maximum, without refinement, without a rule, or with a map of your own."""
     score_bank: float

@@ -64,7 +64,16 @@ CASES = {
     "sj.Mesh.load(box)": "path: expected that of a mesh file, got a Trimesh: Mesh.from_arrays takes arrays",
     "sj.track([im], m)": "recognizer: expected a Recognizer, got a Mesh",
     "recognizer(im, starts=[(2.3, 0.0, 0.8)])": f"starts[0]: {POSE}a tuple",
+    "sj.PoseFinder(m, 's.toml')": f"sonar: {SONAR}'s.toml'",
+    "sj.PoseFinder('x.stl', s)": f"mesh: {MESH}'x.stl'",
+    "sj.calibrate([im], m, 's.toml')": f"sonar: {SONAR}'s.toml'",
+    "sj.calibrate([im], 'x.stl', s)": f"mesh: {MESH}'x.stl'",
+    "sj.fit_size([im], 'x.stl', s, p)": f"mesh: {MESH}'x.stl'",
+    "sj.fit_surface([im], m, s, [p])": f"poses: {POSE}a list",
+    "sj.calibrate([im], m, s, poses=sj.Pose(x=[2300.0]))": "poses[0]: expected the object in view, got x 2.3e+03 m",
     # Something else in place of an image
+    "sj.calibrate(['a.npy'], m, s)": f"frames[0]: expected numbers, got 'a.npy'{READ}",
+    "sj.calibrate('folder', m, s)": "frames: expected a sequence of images (range, beam), got 'folder'",
     "recognizer('t0.npy')": f"image: expected numbers, got 't0.npy'{READ}",
     "recognizer(frame)": "image: expected numbers, got a SonarFrame (its `semantic()` is a map, ",
     "recognizer(Frame(im, None, 'a', 'a'))": "image: expected numbers, got a Frame (its field `image` holds them)",
@@ -92,6 +101,8 @@ CASES = {
     "sj.Mesh.load(path, 'mm')": "unit_m must be a positive number of metres (0.001 for millimetres), got 'mm'",
     "sj.Mesh.from_arrays('vertices', [[0, 1, 2]])": "mesh: vertices: expected numbers, got 'vertices'",
     "sj.Turning(rate_std='5')": "rate_std: expected a number of 0 or more, got '5'",
+    "sj.TrackConfig(components=24.5)": "TrackConfig: expected whole numbers, ",
+    "sj.calibrate([im], m, s.replace(range_min=0.0), free=['range_offset'])": "free: range_offset: expected a window ",
     "s.replace(tlt=0.3)": "sonar: unknown field tlt, expected one of: azimuth, range_min, ",
 }
 

@@ -78,6 +78,17 @@ def test_jax_s_own_setting_goes_before_the_engine_s_options(unoptimised, wanted,
     assert options == [wanted]
 
 
+def test_an_interrupt_ends_what_nobody_waits_for(tmp_path, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    engine = cpu.CpuEngine(tmp_path)
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr(cpu, "_lowered", interrupted)
+        engine.prepare(powers, 2.0, count=3)
+    assert engine.run(powers, 2.0, count=3)[2] == 4.0  # the next call tries again
+
+
 def test_inside_a_trace_it_is_a_plain_call(tmp_path):
     engine = cpu.CpuEngine(tmp_path)
     slope = jax.grad(lambda x: engine.run(powers, x, count=3).sum())(2.0)

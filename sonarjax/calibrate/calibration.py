@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -14,6 +14,7 @@ import numpy as np
 from sonarjax.calibrate.covariance import Certainty
 from sonarjax.calibrate.detect import Prepared, best_height, detect
 from sonarjax.calibrate.fit import FINE, Job, fit_frames, with_nominal_look
+from sonarjax.calibrate.inputs import check_frames, check_kinds, starts_of
 from sonarjax.calibrate.look import Look, sensor_of
 from sonarjax.calibrate.parameters import changed_sonar, check_free, prior_std
 from sonarjax.calibrate.solver import Fit
@@ -136,26 +137,31 @@ def calibrate(
 
     Raises:
         SonarjaxError: There are no frames, their shapes do not fit the sonar, they are all the same, values are not
-            finite, there is another number of poses or masks, a free number does not exist or is repeated, a prior is
-            not positive or belongs to no free number, or the target is found in none of the frames.
+            finite, there is another number of poses or masks, the target is out of view at a given pose, a free number
+            does not exist or is repeated, a prior is not positive or belongs to no free number, `range_offset` is free
+            and the window begins too near the sonar, there is no such segmenter, the sonar sees no floor on which the
+            target can stand, the picture has no finite derivatives where the fit begins, or the target is found in none
+            of the frames.
     """
+    check_kinds(mesh, sonar)
     names = check_free(free)
     std = prior_std(names, prior, sonar)
+    stated = sonar.geometry_std or GeometryStd()
     sonar = sonar.replace(geometry_std=None)
     images, measured = check_frames(frames, masks, sonar)
-    if poses is not None and poses.shape != (len(images),):
-        raise SonarjaxError(f"poses: expected one for each of the {len(images)} frames, got shape {poses.shape}")
+    if poses is not None:
+        starts = starts_of(poses, len(images), sonar)
+        known_at = [Prepared(image, mask, image) for image, mask in zip(images, measured, strict=True)]
+        job = Job(known_at, mesh, sonar, names, std, engine, progress, WIDENING)
+        fit, known = fit_frames(job, known_at, starts, with_nominal_look(np.zeros(len(names))))
+        return _as_calibration(job, stated, fit, known, poses, np.ones(len(images)), np.ones(len(images), bool))
     made = segmenter if isinstance(segmenter, Segmenter) else load_segmenter(segmenter)
     progress("segmenting")
     prepared = [
-        Prepared(image, mask, np.asarray(made.semantic(image, mask, engine)) if poses is None else image)
+        Prepared(image, mask, np.asarray(made.semantic(image, mask, engine)))
         for image, mask in zip(images, measured, strict=True)
     ]
     job = Job(prepared, mesh, sonar, names, std, engine, progress, WIDENING)
-    if poses is not None:
-        every = np.ones(len(images), bool)
-        fit, known = fit_frames(job, *_used_frames(job, poses, every), with_nominal_look(np.zeros(len(names))))
-        return _as_calibration(job, fit, known, poses, np.ones(len(images)), every)
     begin, share = _first_guess(job, search), 1.0 if present else LEAST_SHARE
 
     def found_with(now: Sonar) -> tuple[Pose, np.ndarray]:
@@ -174,34 +180,7 @@ def calibrate(
     if not used.any():
         raise SonarjaxError(f"frames: the target was not found in any of the {len(images)} frames")
     fit, known = fit_frames(job, *_used_frames(job, at, used), first.point.shared, (FINE,))
-    return _as_calibration(job, fit, known, at, probability, used)
-
-
-def check_frames(frames: Any, masks: Any, sonar: Sonar) -> tuple[list[np.ndarray], list[np.ndarray | None]]:
-    """Frames and masks (range, beam) as lists. Frames are 0 where not measured; a mask is None if everything was.
-
-    Raises:
-        SonarjaxError: As `calibrate`.
-    """
-    images = [np.asarray(image, np.float32) for image in frames]
-    if not images:
-        raise SonarjaxError("frames: expected at least one frame")
-    given = [None] * len(images) if masks is None else list(masks)
-    measured = [None if mask is None else np.asarray(mask, bool) for mask in given]
-    if len(measured) != len(images):
-        raise SonarjaxError(f"masks: expected one for each of the {len(images)} frames, got {len(measured)}")
-    for number, (image, mask) in enumerate(zip(images, measured, strict=True)):
-        for name, shape in (("frames", image.shape), ("masks", sonar.shape if mask is None else mask.shape)):
-            if shape != sonar.shape:
-                raise SonarjaxError(
-                    f"{name}[{number}]: expected shape {sonar.shape} (range, beam) of the sonar, got {shape}"
-                )
-        if not np.isfinite(image if mask is None else image[mask]).all():
-            raise SonarjaxError(f"frames[{number}]: holds NaN or infinite values")
-    if len(images) > 1 and all(np.array_equal(image, images[0]) for image in images):
-        raise SonarjaxError(f"frames: expected different frames, all {len(images)} are the same")
-    filled = [i if m is None else np.where(m, i, 0.0) for i, m in zip(images, measured, strict=True)]
-    return [i.astype(np.float32) for i in filled], measured
+    return _as_calibration(job, stated, fit, known, at, probability, used)
 
 
 def _first_guess(job: Job, search: SearchConfig) -> np.ndarray:
@@ -238,8 +217,9 @@ def _used_frames(job: Job, poses: Pose, used: np.ndarray) -> tuple[list[Prepared
 
 
 def _as_calibration(
-    job: Job, fit: Fit, known: Certainty, poses: Pose, probability: np.ndarray, used: np.ndarray
+    job: Job, stated: GeometryStd, fit: Fit, known: Certainty, poses: Pose, probability: np.ndarray, used: np.ndarray
 ) -> Calibration:
+    """The result of a fit; `stated` is what was known of the nominal sonar, and still holds of what was not free."""
     count = len(job.free)
     change, look = fit.point.shared[:count], Look(*fit.point.shared[count:])
     x, y, yaw = (np.array(np.asarray(v), np.float64) for v in (poses.x, poses.y, poses.yaw))
@@ -251,9 +231,9 @@ def _as_calibration(
     numbers = {f: float(getattr(sonar, f)) for f in FIELDS if np.ndim(getattr(sonar, f)) == 0}
     std = dict(zip(job.free, np.sqrt(np.diag(known.covariance)).tolist(), strict=True))
     return Calibration(
-        sonar=sonar.replace(**numbers, geometry_std=GeometryStd(**std)),
+        sonar=sonar.replace(**numbers, geometry_std=replace(stated, **std)),
         sensor=sensor_of(look),
-        poses=Pose(x=x, y=y, yaw=np.mod(yaw, 2 * math.pi)),
+        poses=Pose(x, y, np.mod(yaw, 2 * math.pi), poses.z, poses.roll, poses.pitch),
         free=job.free,
         change=change,
         covariance=known.covariance,

@@ -77,8 +77,8 @@ def fit_frames(
 ) -> tuple[Fit, Certainty]:  # fmt: skip
     """Fit `frames` jointly in `stages`, from their poses and `begin` (free + look,); say how well all is known.
 
-    `begin` holds the changes of the free numbers, then the look. A number that the frames do not determine is left
-    unchanged.
+    `begin` holds the changes of the free numbers, then the look. A number that the frames do not determine is put back
+    to its nominal value.
     """
     change = begin[: len(job.free)]
     size = _window(job, starts, change)

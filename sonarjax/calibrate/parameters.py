@@ -53,6 +53,12 @@ stands.
 """
 
 
+OFFSET_ROOM = 2.0
+"""At least this many prior standard deviations of a free `range_offset` must lie between sonar and window, because
+ranges below 0 have no meaning.
+"""
+
+
 def check_free(free: Sequence[str]) -> tuple[str, ...]:
     """Check names of free numbers, and put them in the order of `PARAMETERS`.
 
@@ -72,7 +78,8 @@ def prior_std(free: Sequence[str], prior: Mapping[str, float] | None, sonar: Son
     """Standard deviations of the priors (free,): from `prior`, else the sonar's `geometry_std`, else the usual ones.
 
     Raises:
-        SonarjaxError: A name is not free, or a value is not positive.
+        SonarjaxError: A name is not free, a value is not positive, or `range_offset` is free and the window begins so
+            near the sonar that ranges might become negative.
     """
     given = dict(prior or {})
     for name, value in given.items():
@@ -82,6 +89,12 @@ def prior_std(free: Sequence[str], prior: Mapping[str, float] | None, sonar: Son
             raise SonarjaxError(f"prior: {name}: expected a positive standard deviation, got {value}")
     stated = {} if sonar.geometry_std is None else vars(sonar.geometry_std)
     known = {name: float(stated.get(name, 0.0)) or (PARAMETERS | SIZES)[name].std for name in free} | given
+    nearest = OFFSET_ROOM * known.get("range_offset", 0.0)
+    if float(sonar.range_min) < nearest:
+        raise SonarjaxError(
+            f"free: range_offset: expected a window that begins {nearest:g} m or more from the sonar "
+            f"({OFFSET_ROOM:g} standard deviations of its prior), got {float(sonar.range_min):g} m"
+        )
     return np.array([known[name] for name in free], float)
 
 
@@ -98,7 +111,7 @@ def changed_sonar(sonar: Sonar, free: Sequence[str], change: Float[Array, "free"
         fields |= {name: getattr(sonar, name) * stretch + shift for name in ("range_min", "range_max")}
     if not by.keys().isdisjoint(("azimuth_scale", "beam_bend", "beam_skew")):
         azimuth = jnp.asarray(sonar.azimuth)
-        half = jnp.abs(azimuth).max()
+        half = jnp.maximum(jnp.abs(azimuth).max(), 1e-6)  # 0 for a single beam straight ahead
         share = azimuth / half
         bend, skew = by.get("beam_bend", 0.0), by.get("beam_skew", 0.0)
         bent = azimuth + half * (bend * (share - share**3) + skew * (share**2 - 1 / 3))

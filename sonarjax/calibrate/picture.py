@@ -116,8 +116,9 @@ def leaking(n_beams: int, level: Any) -> Float[Array, "beam source"]:
     """
     apart = np.abs(np.arange(n_beams)[:, None] - np.arange(n_beams))
     weight = np.where(apart > OWN_BEAMS, np.exp(-apart / LEAK_BEAMS), 0.0)
-    mixed = np.eye(n_beams) + level * weight / weight.sum(axis=1, keepdims=True)
-    return mixed / (1 + level)
+    share = weight / np.maximum(weight.sum(axis=1, keepdims=True), 1e-12)
+    mixed = np.eye(n_beams) + level * share
+    return mixed / (1 + level * share.sum(axis=1, keepdims=True))  # with very few beams there is nothing to leak from
 
 
 def clipped(energy: Float[Array, "*batch"], dark: Any, white: Any) -> Float[Array, "*batch"]:

@@ -6,12 +6,13 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+import jax
 import numpy as np
 
 from sonarjax.calibrate.calibration import Calibration
 from sonarjax.calibrate.parameters import PARAMETERS
 from sonarjax.render import render
-from sonarjax.scene import Mesh, Pose
+from sonarjax.scene import Mesh
 from sonarjax.sonar import Sonar
 
 UNITS = {"rad": ("°", math.degrees(1.0)), "m": (" m", 1.0), "1": (" %", 100.0)}
@@ -78,7 +79,7 @@ def compare_templates(
         At most `SHOWN` of the frames, their maps for the nominal sonar and those for the fitted one, all (range, beam).
     """
     which = np.flatnonzero(found.used)[:SHOWN]
-    poses = [Pose(*(float(np.asarray(v)[k]) for v in (found.poses.x, found.poses.y, found.poses.yaw))) for k in which]
+    poses = [jax.tree.map(lambda v, k=k: np.asarray(v)[k], found.poses) for k in which]
 
     def drawn(sonar: Sonar) -> list[Any]:
         return [np.asarray(render(mesh, pose, sonar.replace(geometry_std=None)).semantic()) for pose in poses]

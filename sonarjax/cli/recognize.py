@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
         SonarjaxError: The input cannot be used.
     """
     files = mesh_files(args.target, "--target")
-    check_outputs({"--out": args.out}, (*args.frames, *files.values(), args.sonar))
+    check_outputs({"--out": args.out}, (*args.frames, *files.values(), args.sonar, args.segmenter))
     if args.track and len(files) > 1:
         raise SonarjaxError(f"--track: expected a single --target, got {len(files)} meshes")
     start_jax()
@@ -86,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
     tracker = Tracker(recognizer, motion, threshold=args.threshold) if args.track else None
     frames = frames_for(sonar, args.frames, args.sonar)
     if args.cluster is not None:
-        work = Work(secrets.token_hex(8), targets, sonar, args.segmenter, refine, args.threshold)
+        work = Work(secrets.token_hex(8), targets, sonar, segmenter, refine, args.threshold)
         with engine_of(args.cluster) as workers:
             return _write(args.out, workers.stream(recognize_on_worker, work, frames))
     if len(meshes) > 1:
@@ -166,8 +166,8 @@ class Work:
     """The targets, in the form that `Recognizer` takes."""
     sonar: Lazy = field(compare=False)
     """The sonar."""
-    segmenter: str = field(compare=False)
-    """Name of the segmenter."""
+    segmenter: Lazy = field(compare=False)
+    """The segmenter with its weights: a worker need not see the file that they are from."""
     refine: Lazy = field(compare=False)
     """A RefineConfig, or None to stop at the yaw bin."""
     threshold: float | None = field(compare=False)

@@ -9,6 +9,7 @@ from typing import Any
 from sonarjax.cli.arguments import EXITS, FRAME_HELP, add_segmenter_option
 from sonarjax.cli.frames import each_frame, start_jax
 from sonarjax.io import SonarjaxError, check_label_files, complain, make_folder, naming, write_npz
+from sonarjax.io.outputs import same_file
 
 
 def add(commands: Any) -> None:
@@ -49,8 +50,9 @@ def run(args: argparse.Namespace) -> int:
             complain(naming(name, error))
             code = 1
             continue
-        if written.setdefault(frame.stem, name) != name:
-            raise SonarjaxError(f"{name}: its labels would overwrite those of {written[frame.stem]} (same stem)")
+        other = written.setdefault(frame.stem, name)
+        if other != name and not same_file(other, name):
+            raise SonarjaxError(f"{name}: its labels would overwrite those of {other} (same stem)")
         path = os.path.join(args.out_dir, f"labels_{frame.stem}.npz")
         write_npz(path, labels=labels)
     return code

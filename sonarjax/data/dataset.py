@@ -216,26 +216,32 @@ def _take_up(target: Path, facts: dict[str, Any]) -> None:
     if target.exists() and not target.is_dir():
         raise SonarjaxError(f"{target}: expected a folder, this is a file")
     path = target / SETTINGS
-    if path.exists():
-        try:
-            old = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            raise SonarjaxError(f"{path}: expected the settings of a data set: {error}") from error
-        for name, value in facts.items():
-            if not isinstance(old, dict) or old.get(name) != value:
-                was = old.get(name) if isinstance(old, dict) else None
-                raise SonarjaxError(
-                    f"{target}: holds another data set, made with {name} {json.dumps(was)}, now {json.dumps(value)}: "
-                    "expected another folder, or the same settings to continue"
-                )
-        return
-    make_folder(str(target))
-    if any(not name.startswith(".") for name in os.listdir(target)):
-        raise SonarjaxError(f"{target}: expected an empty folder, or one with the same data set")
-    for name in (PARTS, "images", "labels", "instances", "frames"):
-        if name in _FOLDERS[facts["format"]]:
-            make_folder(str(target / name))
-    write_text(path, json.dumps(facts, indent=1) + "\n")
+    if not path.exists():
+        make_folder(str(target))
+        left = any(not name.startswith(".") for name in os.listdir(target))
+        if left and not path.exists():  # another shard may have written its settings meanwhile
+            raise SonarjaxError(f"{target}: expected an empty folder, or one with the same data set")
+        if not left:
+            # Before the subfolders: a process that is killed in between leaves a data set that can be continued.
+            write_text(path, json.dumps(facts, indent=1) + "\n")
+    _check_settings(target, path, facts)
+    for name in _FOLDERS[facts["format"]]:
+        make_folder(str(target / name))
+
+
+def _check_settings(target: Path, path: Path, facts: dict[str, Any]) -> None:
+    """Raise a SonarjaxError unless the data set's settings, in the file `path`, are these."""
+    try:
+        old = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise SonarjaxError(f"{path}: expected the settings of a data set: {error}") from error
+    for name, value in facts.items():
+        if not isinstance(old, dict) or old.get(name) != value:
+            was = old.get(name) if isinstance(old, dict) else None
+            raise SonarjaxError(
+                f"{target}: holds another data set, made with {name} {json.dumps(was)}, now {json.dumps(value)}: "
+                "expected another folder, or the same settings to continue"
+            )
 
 
 _FOLDERS = {

@@ -13,6 +13,8 @@ import numpy as np
 from jaxtyping import Bool, Float32
 
 Geometry = dict[str, Any]
+UNEVEN = 0.02
+"""Largest deviation of a range bin from even spacing [bins]; float32 rounding is smaller."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -92,6 +92,8 @@ class JsonLines:
             if written:
                 with contextlib.suppress(OSError):
                     os.ftruncate(self._descriptor, os.fstat(self._descriptor).st_size - written)
+            if isinstance(error, BrokenPipeError):  # the reader of a pipe has gone, which is no fault of ours
+                raise
             raise SonarjaxError(f"{self.name}: cannot be written: {reason(error)}") from error
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import secrets
 import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -58,13 +59,15 @@ def bag_records(path: str, topic: str | None = None, index: int | None = None) -
 
     Raises:
         SonarjaxError: The file is missing or not a bag, `rosbags` is not installed, or the topic or image does not
-            exist.
+            exist, or the topic is empty.
     """
     with _opened(path) as reader:
         counts = _counts(reader)
         chosen = _chosen(path, counts, topic)
         if index is not None and not 0 <= index < counts[chosen]:
             raise SonarjaxError(f"{path}:{chosen}: frame {index}: expected 0 to {counts[chosen] - 1}")
+        if counts[chosen] == 0:
+            raise SonarjaxError(f"{path}:{chosen}: expected sonar images, the topic has none")
         wanted = [c for c in reader.connections if c.topic == chosen and is_sonar_image(c.msgtype)]
         messages = reader.messages(connections=wanted)
         for number in itertools.count():
@@ -103,7 +106,7 @@ def write_bag(path: str | os.PathLike[str], frames: Iterable[Frame], topic: str 
     ending = target.suffix.lower()
     if ending not in (".bag", ".mcap") and target.exists():
         raise SonarjaxError(f"{target}: expected a folder that does not exist yet")
-    partial = target.with_name(f".{target.name}.{os.getpid()}.part")
+    partial = target.with_name(f".{target.name}.{secrets.token_hex(6)}.part")
     try:
         count = _write(partial, frames, topic, ending == ".bag")
         os.replace(next(partial.glob("*.mcap")) if ending == ".mcap" else partial, target)

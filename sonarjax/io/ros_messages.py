@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.io.frame import Frame, Geometry
+from sonarjax.io.frame import UNEVEN, Frame, Geometry
 from sonarjax.io.header import RANGE_LIMIT_M
 from sonarjax.io.naming import named
 
@@ -41,8 +41,6 @@ DTYPES = ("u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f4", "f8")
 """NumPy's name for each `dtype` number."""
 OUT_OF_PLANE = math.radians(0.5)
 """Largest elevation at which a beam still counts as lying in the plane of the fan [rad]."""
-UNEVEN = 0.02
-"""Largest deviation of a range bin's centre from even spacing [bins]; float32 rounding is smaller."""
 WRITTEN = 65535
 """Frames are written as 16-bit numbers, with this value for 1."""
 

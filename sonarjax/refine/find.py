@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sonarjax.engine import PLAIN, Engine
+from sonarjax.io.given import check_kind
 from sonarjax.match import LeanSearch, LeanSearchConfig, SearchConfig, TargetSearch
 from sonarjax.refine.config import RefineConfig
 from sonarjax.refine.errorbar import POSE_ERROR_BAR, PoseErrorBar
@@ -81,6 +82,8 @@ class PoseFinder:
         Raises:
             SonarjaxError: As `Recognizer` for target, sonar and segmenter, and as `refine_pose` for `free`.
         """
+        check_kind(mesh, Mesh, "mesh")
+        check_kind(sonar, Sonar, "sonar")
         self.free, self.refine, self.engine = check_free(free), refine, engine
         self.error_bar = error_bar
         self.sonar = sonar.replace(geometry_std=None)

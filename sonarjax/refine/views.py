@@ -183,7 +183,7 @@ def refine_jointly(job: Job, start: Pose) -> Joint:
     """
     held = np.zeros(len(job.free), bool)
     found, told = _search(job, start, held)
-    if told is not None and not told[0].all():
+    if not told[0].all():
         return _search(job, start, ~told[0])[0]._replace(observable=told[0], singular_values=told[1])
     return found
 

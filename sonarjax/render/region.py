@@ -17,6 +17,7 @@ from sonarjax.sonar import Sonar
 MARGIN_BEAMS, MARGIN_BINS = 3, 12  # around what the object touches at any yaw; wider margins lower the correlation
 # Window sizes are rounded up to multiples of these, so that windows of similar size share compiled code.
 ROW_STEP, COLUMN_STEP, OBJECT_STEP = 64, 8, 4
+MIN_SPACING = 1e-4  # least width of a single beam [rad]
 
 
 @dataclass(frozen=True)
@@ -89,7 +90,8 @@ def object_columns(mesh: Mesh, sonar: Sonar, ground_range: float, slack: float =
 
 def _spacing(sonar: Sonar) -> float:
     """Smallest angle [rad] between neighbouring beams."""
-    return float(np.diff(np.asarray(sonar.azimuth)).min())
+    azimuth = np.asarray(sonar.azimuth)
+    return float(np.diff(azimuth).min()) if azimuth.size > 1 else max(float(sonar.beam_width), MIN_SPACING)
 
 
 def _azimuth_width(mesh: Mesh, sonar: Sonar, ground_range: float, reach: float) -> float:

@@ -389,10 +389,7 @@ def facet_width(spans: Spans, azimuth: Float[Array, "slab"], scene: Scene) -> Fl
 
 
 def incidence_cosine(
-    intervals: VisibleIntervals,
-    segments: Segments,
-    corners: Corners,
-    azimuth: Float[Array, "slab"],
+    intervals: VisibleIntervals, corners: Corners, azimuth: Float[Array, "slab"]
 ) -> Float[Array, "slab interval"]:
     """Cosine of the angle between a facet's normal and the ray to the middle of its interval."""
     index = jnp.maximum(intervals.winner, 0)

@@ -101,7 +101,7 @@ def find_visible(
     def spans_of(intervals: VisibleIntervals, segments: Segments, table: Array, azimuth: Array) -> Spans:
         lit = jnp.ones(intervals.winner.shape, bool)
         if sonar.highlight_max_incidence < 90.0:
-            cosine = incidence_cosine(intervals, segments, corners_of(fixed, table), azimuth)
+            cosine = incidence_cosine(intervals, corners_of(fixed, table), azimuth)
             lit = lit_intervals(cosine, sonar.highlight_max_incidence)
         items = max_items(mesh.crossings, by_facet is not False, 0 if objects is None else objects.total)
         owner = None

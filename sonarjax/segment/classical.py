@@ -30,10 +30,12 @@ def threshold_labels(
     `otsu` on its 3 × 3 median and `median-otsu` on its 5 × 5 median: highlight above the upper one, shadow at or below
     the lower one. `none` cuts the frame at 1/4 and 3/4. Otsu's thresholds are those of the pixels inside `mask`. If
     these have a single grey value (for two thresholds: one or two), everything is background. Pixels outside `mask` are
-    background.
+    background, so without a measured pixel everything is.
     """
     image = np.asarray(image, np.float32)
     measured = np.ones(image.shape, bool) if mask is None else np.asarray(mask, bool)
+    if not measured.any():
+        return np.zeros(image.shape, np.uint8)
     if name in MEDIANS:
         image = median_filter(image, np.ones((MEDIANS[name], MEDIANS[name])))
     image = image.astype(

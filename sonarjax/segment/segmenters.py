@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import os
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.io.given import shown
+from sonarjax.io.given import is_number, shown
 from sonarjax.io.safetensors import read_safetensors
 from sonarjax.segment.classical import CLASSICAL, THRESHOLDS, from_grey, threshold_labels, to_grey
 from sonarjax.segment.rule import RULES, IdentificationRule, read_rule
@@ -116,16 +116,15 @@ def load_segmenter(name: str | os.PathLike[str] = DEFAULT_SEGMENTER) -> Segmente
     path = shipped_path() if text == NETWORK else text
     _, about = read_safetensors(path)
     threshold, tile = about.get("threshold"), about.get("tile", TILE)
-    two_sizes = isinstance(tile, list | tuple) and len(tile) == 2 and all(_is_number(v) and v > 0 for v in tile)
-    if not (two_sizes and _is_number(threshold, optional=True)):
-        raise SonarjaxError(f"{os.fspath(path)}: metadata: expected a number `threshold` and two numbers `tile`")
+    sizes = tile if isinstance(tile, list | tuple) and len(tile) == 2 else ()
+    usable = bool(sizes) and all(is_number(v) and 1 <= v < math.inf for v in sizes)
+    if not (usable and (threshold is None or is_number(threshold))):
+        raise SonarjaxError(
+            f"{os.fspath(path)}: metadata: expected a number `threshold` and two numbers `tile` of 1 or more"
+        )
     rule = read_rule(about.get("rule"), os.fspath(path))
     weights = load_generator(None if text == NETWORK else path)
     return Segmenter(text, threshold, weights, (int(tile[0]), int(tile[1])), rule)
-
-
-def _is_number(value: Any, optional: bool = False) -> bool:
-    return (optional and value is None) or (isinstance(value, int | float) and not isinstance(value, bool))
 
 
 def check_segmenter(name: str) -> None:

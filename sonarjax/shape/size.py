@@ -5,23 +5,19 @@ This is the joint fit of `sonarjax.calibrate`, with the object's extents in plac
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sonarjax.calibrate.calibration import check_frames
 from sonarjax.calibrate.detect import Prepared
 from sonarjax.calibrate.fit import FINE, Job, fit_frames, with_nominal_look
+from sonarjax.calibrate.inputs import check_frames, check_kinds, starts_of
 from sonarjax.calibrate.parameters import SIZES, changed_mesh, prior_std
 from sonarjax.engine import PLAIN, Engine
-from sonarjax.io.errors import SonarjaxError
 from sonarjax.refine.free import in_order
-from sonarjax.render.region import image_azimuth
 from sonarjax.scene import Mesh, Pose
 from sonarjax.sonar import Sonar
 
@@ -100,6 +96,7 @@ def fit_size(
             finite, there is another number of poses or masks, the object is out of view, an extent does not exist or
             is repeated, or a prior is not positive or belongs to no free extent.
     """
+    check_kinds(mesh, sonar)
     names = in_order(free, SIZES)
     std = prior_std(names, prior, sonar)
     images, measured = check_frames(frames, masks, sonar)
@@ -120,26 +117,9 @@ def fit_size(
         determined=known.determined,
         singular_values=known.singular_values,
         poses=Pose(
-            x=np.asarray(poses.x) + own[:, 1], y=np.asarray(poses.y) + own[:, 2], yaw=np.asarray(poses.yaw) + own[:, 0]
+            x=np.asarray(poses.x) + own[:, 1], y=np.asarray(poses.y) + own[:, 2], yaw=np.asarray(poses.yaw) + own[:, 0],
+            z=poses.z, roll=poses.roll, pitch=poses.pitch,
         ),
         residual=np.sqrt(fit.costs / np.median(fit.costs)),
         converged=fit.converged,
-    )
-
-
-def starts_of(poses: Pose, count: int, sonar: Sonar) -> list[Pose]:
-    """Split the poses (frame,) into one for each frame.
-
-    Raises:
-        SonarjaxError: There are not `count` poses, or the object is out of view at one of them.
-    """
-    if poses.shape != (count,):
-        raise SonarjaxError(f"poses: expected one for each of the {count} frames, got shape {poses.shape}")
-    starts = [jax.tree.map(lambda v, k=k: np.asarray(v)[k], poses) for k in range(count)]
-    beams = np.asarray(sonar.azimuth)
-    for number, pose in enumerate(starts):
-        slant, azimuth = math.hypot(pose.x, pose.y, float(sonar.height)), image_azimuth(pose.x, pose.y, sonar)
-        if not (sonar.range_min < slant < sonar.range_max and beams.min() < azimuth < beams.max()):
-            place = f"x {float(pose.x):.3g} m, y {float(pose.y):.3g} m"
-            raise SonarjaxError(f"poses[{number}]: expected the object in view, got {place}")
-    return starts
+    )  # fmt: skip

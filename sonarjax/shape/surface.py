@@ -19,7 +19,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float
 
-from sonarjax.calibrate.calibration import check_frames
+from sonarjax.calibrate.inputs import check_frames, check_kinds, starts_of
 from sonarjax.calibrate.solver import BOUNCE
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
@@ -28,7 +28,6 @@ from sonarjax.refine.solver import Search, best_template
 from sonarjax.refine.template import VIEWS, EchoLaw, Subject, nominal_law, render_layers, semantic_template
 from sonarjax.render import RenderQuality, WindowSize, place_window, plan_window
 from sonarjax.scene import Mesh, Pose
-from sonarjax.shape.size import starts_of
 from sonarjax.sonar import Sonar
 
 MARGIN = (48, 12)
@@ -125,11 +124,13 @@ def fit_surface(
             finite, there is another number of poses or masks, the body is out of view, or the mesh has too many
             vertices.
     """
+    check_kinds(mesh, sonar)
     images, measured = check_frames(frames, masks, sonar)
     starts = starts_of(poses, len(images), sonar)
     vertices = np.asarray(mesh.vertices, np.float64)
-    if len(vertices) > MOST_VERTICES:
-        raise SonarjaxError(f"mesh: expected {MOST_VERTICES} vertices or fewer, got {len(vertices)}")
+    count = len(_touched(np.asarray(mesh.faces)))
+    if count > MOST_VERTICES:
+        raise SonarjaxError(f"mesh: expected {MOST_VERTICES} vertices or fewer, got {count}")
     sonar = sonar.replace(geometry_std=None)
     mesh = mesh.with_room(ROOM * mesh.crossings, mesh.n_faces)
     size = _window(mesh, sonar, starts)
@@ -164,6 +165,11 @@ def _window(mesh: Mesh, sonar: Sonar, starts: Sequence[Pose]) -> WindowSize:
     return WindowSize((shape[0], shape[1]), shape[1])
 
 
+def _touched(faces: np.ndarray) -> np.ndarray:
+    """Numbers of the vertices that a triangle of `faces` (face, 3) touches: all but padding."""
+    return np.unique(faces[faces[:, 0] != faces[:, 1]])
+
+
 def _descend(
     evaluate: Callable[[np.ndarray, float], tuple[np.ndarray, np.ndarray]], begin: np.ndarray, faces: np.ndarray,
     config: SurfaceConfig, progress: Callable[[str], None],
@@ -171,7 +177,8 @@ def _descend(
     """Adam over smoothed displacements: the vertices (vertex, 3), each step's mean score, each frame's last score."""
     laplacian = uniform_laplacian(faces, len(begin))
     smooth = np.linalg.inv(np.eye(len(begin)) + config.smoothing * laplacian)
-    radius = max(float(np.abs(begin - begin.mean(axis=0)).max()), 1e-6)
+    real = begin[_touched(faces)]
+    radius = max(float(np.abs(real - real.mean(axis=0)).max()), 1e-6)
     point, scores, costs = begin.copy(), [], np.zeros(0)
     for sigma in config.blurs:
         schedule = optax.cosine_decay_schedule(config.step_m, config.iterations, alpha=0.2)
@@ -181,7 +188,7 @@ def _descend(
             costs, slope = evaluate(point, sigma)
             scores.append(1 - costs.mean())
             bent = laplacian @ (point - begin)
-            slope = slope / len(costs) + 2 * config.prior / radius**2 * laplacian.T @ bent / len(begin)
+            slope = slope / len(costs) + 2 * config.prior / radius**2 * laplacian.T @ bent / len(real)
             step, state = adam.update(jnp.asarray(smooth @ slope, jnp.float32), state)
             # Scale all vertices by one length. Scaled one by one, vertices that no frame shows would move as far.
             along = smooth @ np.asarray(step, np.float64)

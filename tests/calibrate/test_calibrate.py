@@ -18,6 +18,7 @@ from sonarjax.calibrate.parameters import changed_sonar
 from sonarjax.calibrate.picture import make_sampling
 from sonarjax.render import WindowSize
 from sonarjax.sensor import SensorModel, observe_scene
+from sonarjax.sonar import GeometryStd
 
 NOMINAL = sj.Sonar.preset("didson-hf", tilt=math.radians(20.0))
 FREE, OFF = ("tilt", "height"), (math.radians(2.0), -0.06)
@@ -78,9 +79,13 @@ def test_where_the_target_is_known_to_be_no_frame_is_left_out(frames) -> None:
 def test_known_poses_leave_the_target_unsearched(frames, monkeypatch: pytest.MonkeyPatch) -> None:
     images, poses = frames
     at = jax.tree.map(lambda *v: jnp.stack([jnp.asarray(x, jnp.float32) for x in v]), *poses[:-1])
+    at = sj.Pose(at.x, at.y, at.yaw, z=1e-3)
     how = {"poses": at, "prior": {"tilt": 0.05, "height": 0.05}}
-    found = sj.calibrate(images[:-1], sj.objects.target(), NOMINAL, **how)
+    stated = NOMINAL.replace(geometry_std=GeometryStd(roll=0.02, height=0.2))
+    found = sj.calibrate(images[:-1], sj.objects.target(), stated, **how)
     assert found.used.all()
+    np.testing.assert_array_equal(found.poses.z, at.z)
+    assert (found.sonar.geometry_std.roll, found.sonar.geometry_std.height) == (0.02, found.std["height"])
     assert found.change[1] == pytest.approx(OFF[1], abs=0.01)
     monkeypatch.setattr(sys.modules["sonarjax.calibrate.calibration"], "WIDENING", 1.0)
     plain = sj.calibrate(images[:-1], sj.objects.target(), NOMINAL, **how)

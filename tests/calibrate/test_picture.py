@@ -110,6 +110,8 @@ def test_leak_keeps_the_energy_and_reaches_beams_nearby() -> None:
     np.testing.assert_allclose(mixing.sum(axis=1), 1.0, rtol=1e-6)
     np.testing.assert_allclose(np.diag(mixing), 1 / 1.1, rtol=1e-6)
     assert mixing[40, 43] > mixing[40, 60] > 0 and mixing[40, 41] == 0
+    for few in (1, 4, 5):  # a beam without others that it could hear keeps its own energy
+        np.testing.assert_allclose(np.asarray(leaking(few, jnp.asarray(0.1))).sum(axis=1), 1.0, rtol=1e-6)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 1.0])

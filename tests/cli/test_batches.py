@@ -271,6 +271,13 @@ def test_results_never_take_the_place_of_an_input(complaint, stand_in, place, tm
     assert (place / name).read_bytes() == before
 
 
+def test_results_never_take_the_place_of_the_weights(complaint, stand_in, place, tmp_path):
+    (tmp_path / "w.safetensors").write_bytes(b"weights")
+    files = ["--target", place / "brick.stl", "--sonar", place / "sonar.toml", "--out", tmp_path / "w.safetensors"]
+    said = complaint(2, "recognize", place / "a.npz", *files, "--segmenter", tmp_path / "w.safetensors")
+    assert "would overwrite the input" in said and (tmp_path / "w.safetensors").read_bytes() == b"weights"
+
+
 def test_labels_never_take_the_place_of_an_input(complaint, stand_in, place, tmp_path):
     for name in ("a.npz", "labels_a.npz"):
         (tmp_path / name).write_bytes((place / "a.npz").read_bytes())
@@ -317,6 +324,11 @@ def test_segment_goes_on_after_an_unreadable_frame(command, stand_in, bad, place
 def test_segment_never_overwrites_one_frame_by_another(complaint, stand_in, place, tmp_path):
     np.save(tmp_path / "a.npy", np.zeros(SHAPE, np.float32))
     assert "same stem" in complaint(2, "segment", place / "a.npz", tmp_path / "a.npy", "--out-dir", tmp_path / "labels")
+
+
+def test_one_frame_by_two_names_is_segmented_twice(command, stand_in, place, tmp_path):
+    same = place / ".." / place.name / "a.npz"
+    assert command("segment", place / "a.npz", same, "--out-dir", tmp_path / "labels") == (0, "", "")
 
 
 @pytest.mark.parametrize("folder", ["file", "file/below", "/proc/labels"])

@@ -252,6 +252,33 @@ def test_a_folder_of_other_settings_is_refused_and_kept(make, options, said):
     assert content(make("a")) == before
 
 
+def test_a_set_goes_on_that_was_killed_before_its_folders_were_made(make, monkeypatch):
+    def killed(path):
+        raise KeyboardInterrupt
+
+    whole = content(make("a"))
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        made = dataset.make_folder
+        patched.setattr(dataset, "make_folder", lambda path: made(path) if path.endswith("b") else killed(path))
+        make("b")
+    assert content(make("b")) == whole
+
+
+def test_a_set_whose_settings_another_shard_writes_meanwhile_is_taken_up(make, monkeypatch, tmp_path):
+    make("a", shard=(1, 2))
+    settings = (tmp_path / "a" / dataset.SETTINGS).read_bytes()
+    (tmp_path / "a" / dataset.SETTINGS).unlink()
+    listed = dataset.os.listdir
+
+    def late(folder):
+        found = listed(folder)
+        (tmp_path / "a" / dataset.SETTINGS).write_bytes(settings)
+        return found
+
+    monkeypatch.setattr(dataset.os, "listdir", late)
+    assert content(make("a", shard=(2, 2))) == content(make("b"))
+
+
 def test_a_folder_of_something_else_is_refused(make, tmp_path):
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / "thesis.tex").write_text("words")

@@ -82,6 +82,16 @@ def test_npz_with_mask_and_geometry(tmp_path):
     assert "66.7% of the pixels" in text and "range_edges_m" in text
 
 
+def test_uneven_range_bins_are_refused(make, saved):
+    for edges, even in ((np.linspace(0.7, 3.9, 4, dtype=np.float32), True), (np.array([1.0, 1.1, 1.3, 1.7]), False)):
+        path = saved("a.npz", make.npz(image=UNIT, azimuth_deg=np.arange(4.0), range_edges_m=edges))
+        if even:
+            assert read_frames(path)[0].geometry["range_max_m"] == pytest.approx(3.9)
+        else:
+            with pytest.raises(SonarjaxError, match="range_edges_m: expected range bins of equal length"):
+                read_frames(path)
+
+
 def test_mask_of_numbers(make, saved):
     (frame,) = read_frames(saved("a.npz", make.npz(image=UNIT, mask=np.ones((3, 4), np.uint8))))
     assert frame.mask.dtype == bool and frame.mask.all()

@@ -156,6 +156,14 @@ def test_what_cannot_be_found(tmp_path):
     assert len(read_frames(f"{path}:/starboard")) == 1
 
 
+@pytest.mark.parametrize("name", ["a.bag", "a.mcap", "run"])
+def test_a_topic_without_images(tmp_path, name):
+    path = str(tmp_path / name)
+    assert write_bag(path, []) == 0
+    with pytest.raises(SonarjaxError, match=f"{path}:/sonar_image: expected sonar images, the topic has none"):
+        read_frames(path)
+
+
 @pytest.mark.parametrize("ending", [".bag", ".mcap", ".db3"])
 def test_what_is_no_bag(tmp_path, ending):
     path = tmp_path / f"a{ending}"

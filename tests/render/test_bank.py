@@ -83,6 +83,12 @@ def test_a_pipe_seen_along_its_axis():
         np.testing.assert_allclose(template, frame[row : row + h, column : column + w], atol=0.05)
 
 
+def test_a_sonar_of_a_single_beam(brick):
+    narrow = SONAR.replace(azimuth=jnp.zeros(1), beam_width=0.01)
+    bank = template_bank(brick, narrow, [0.0], x=X)
+    assert bank.templates.shape[2] == 1 and float(bank.templates.max()) > 0.9
+
+
 def test_margin_around_the_union_of_all_yaws(bank):
     touched = (np.abs(np.asarray(bank.templates) - 0.5) > 0.01).any(0)
     rows, columns = np.flatnonzero(touched.any(1)), np.flatnonzero(touched.any(0))

@@ -77,6 +77,12 @@ def test_values_one_rounding_apart_are_told_apart() -> None:
     np.testing.assert_array_equal(segment(image, "otsu1"), image > near)
 
 
+@pytest.mark.parametrize("name", CLASSICAL)
+def test_nothing_measured_is_background(name: str, rng: np.random.Generator) -> None:
+    image = rng.random((6, 5), np.float32)
+    assert not load_segmenter(name).labels(image, np.zeros((6, 5), bool)).any()
+
+
 def test_unknown_name() -> None:
     with pytest.raises(SonarjaxError, match="otsu3"):
         load_segmenter("otsu2")

@@ -14,7 +14,7 @@ from sonarjax.engine import PLAIN
 from sonarjax.scene import objects
 from sonarjax.sensor import SensorModel, observe_scene
 from sonarjax.shape import SurfaceConfig
-from sonarjax.shape.surface import _begun, _by_vertices, _descend, _Frame, _window, uniform_laplacian
+from sonarjax.shape.surface import _begun, _by_vertices, _descend, _Frame, _touched, _window, uniform_laplacian
 
 SONAR = sj.Sonar.preset("didson-hf", tilt=math.radians(20.0))
 YAWS = np.radians([0.0, 90.0, 180.0, 270.0])
@@ -55,6 +55,12 @@ def test_descent_finds_the_minimum_of_a_known_problem() -> None:
     found, scores, last = _descend(evaluate, begin, TETRAHEDRON, config, lambda text: None)
     np.testing.assert_allclose(found, wanted, atol=1e-3)
     assert scores[-1] > scores[0] and scores[-1] == pytest.approx(last.mean())
+
+
+def test_padding_is_no_vertex() -> None:
+    vertices, faces = objects.sphere_arrays(1.0, rings=9, sectors=16)
+    mesh = sj.Mesh.from_arrays(vertices, faces)
+    assert len(_touched(np.asarray(mesh.faces))) == len(vertices) < len(np.asarray(mesh.vertices))
 
 
 def test_nothing_sinks_into_the_floor() -> None:

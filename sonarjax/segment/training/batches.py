@@ -124,14 +124,12 @@ def _stored(pairs: Pairs) -> Stored:
     return Stored(np.rint(255 * image).astype(np.uint8), labels)
 
 
-@lru_cache(1)
 def _imported(recipe: Recipe) -> tuple[Stored, Stored]:
-    """The folder's pairs: those for training, and those for validation."""
+    """The folder's pairs: those for training, and copies of those for validation."""
     assert recipe.source is not None
     stored = _stored(import_pairs(recipe.source))
     wanted = recipe.pairs + recipe.validation_pairs
     if len(stored.image) < wanted:
         raise SonarjaxError(f"{recipe.source}: expected {wanted} pairs or more, got {len(stored.image)}")
-    parts = slice(recipe.pairs), slice(-recipe.validation_pairs, None)
-    train, validation = (Stored(stored.image[part], stored.labels[part]) for part in parts)
-    return train, validation
+    train, validation = slice(recipe.pairs), slice(-recipe.validation_pairs, None)
+    return Stored(*(v[train] for v in stored)), Stored(*(v[validation].copy() for v in stored))

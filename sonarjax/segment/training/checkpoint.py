@@ -17,14 +17,13 @@ from sonarjax.segment.step import GanState
 
 KEPT = 2
 
-logging.getLogger("absl").setLevel(logging.WARNING)  # at level INFO Orbax logs every file
-
 
 class Checkpoints:
     """The checkpoints in a folder, numbered by steps done; a context manager."""
 
     def __init__(self, folder: Path) -> None:
         """Open `folder`, and make it if it is missing. Raises SonarjaxError if it cannot be used."""
+        logging.getLogger("absl").setLevel(logging.WARNING)  # at level INFO Orbax logs every file
         self.folder = folder
         options = ocp.CheckpointManagerOptions(
             max_to_keep=KEPT, enable_async_checkpointing=False, cleanup_tmp_directories=True

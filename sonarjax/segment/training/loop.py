@@ -117,7 +117,7 @@ class _Run:
         recipe, chief = self.recipe, jax.process_index() == 0
         advance = make_step(recipe, self.mesh)
         if self.step == recipe.steps:  # the run was killed after its last step
-            self.metrics = self._judge()[0]
+            self.metrics = self._evaluate()[0]
         with (
             Journal(self.folder, self.step, writes=chief) as journal,
             tqdm(
@@ -151,7 +151,7 @@ class _Run:
         asks = jax.process_count() == 1 or self._due(self.recipe.log_steps)
         stop = asks and anywhere(self.wish.wished)
         if self.step % self.recipe.epoch_steps == 0:
-            self.metrics, grey = self._judge()
+            self.metrics, grey = self._evaluate()
             assert self.validation is not None
             epoch = self.step // self.recipe.epoch_steps
             values = {f"loss_{name}": value for name, value in self.losses.items()}
@@ -177,7 +177,7 @@ class _Run:
         advice = "resuming would fail again: start in a new folder with a lower learning_rate"
         return SonarjaxError(f"{self.folder}: training stopped at step {self.step}: {what}; {last}; {advice}")
 
-    def _judge(self) -> tuple[dict[str, float], np.ndarray]:
+    def _evaluate(self) -> tuple[dict[str, float], np.ndarray]:
         """Validation metrics of the averaged generator, and its semantic maps."""
         if self.validation is None:
             self.validation = validation_set(self.recipe, self.batches.engine)

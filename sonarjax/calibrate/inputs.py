@@ -1,0 +1,71 @@
+"""Checks of what a joint fit is given: frames, masks and poses."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterable
+from typing import Any
+
+import jax
+import numpy as np
+
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.given import check_kind, image_array, shown
+from sonarjax.render.region import image_azimuth
+from sonarjax.scene import Mesh, Pose
+from sonarjax.sonar import Sonar
+
+
+def check_kinds(mesh: Any, sonar: Any) -> None:
+    """Raise a SonarjaxError unless these are a mesh and a sonar."""
+    check_kind(mesh, Mesh, "mesh")
+    check_kind(sonar, Sonar, "sonar")
+
+
+def check_frames(frames: Any, masks: Any, sonar: Sonar) -> tuple[list[np.ndarray], list[np.ndarray | None]]:
+    """Frames and masks (range, beam) as lists. Frames are 0 where not measured; a mask is None if everything was.
+
+    Raises:
+        SonarjaxError: As `calibrate`.
+    """
+    if isinstance(frames, str | os.PathLike) or not isinstance(frames, Iterable):
+        raise SonarjaxError(f"frames: expected a sequence of images (range, beam), got {shown(frames)}")
+    images = [np.asarray(image_array(image, f"frames[{k}]"), np.float32) for k, image in enumerate(frames)]
+    if not images:
+        raise SonarjaxError("frames: expected at least one frame")
+    given = [None] * len(images) if masks is None else list(masks)
+    measured = [None if mask is None else np.asarray(mask, bool) for mask in given]
+    if len(measured) != len(images):
+        raise SonarjaxError(f"masks: expected one for each of the {len(images)} frames, got {len(measured)}")
+    for number, (image, mask) in enumerate(zip(images, measured, strict=True)):
+        for name, shape in (("frames", image.shape), ("masks", sonar.shape if mask is None else mask.shape)):
+            if shape != sonar.shape:
+                raise SonarjaxError(
+                    f"{name}[{number}]: expected shape {sonar.shape} (range, beam) of the sonar, got {shape}"
+                )
+        if not np.isfinite(image if mask is None else image[mask]).all():
+            raise SonarjaxError(f"frames[{number}]: holds NaN or infinite values")
+    if len(images) > 1 and all(np.array_equal(image, images[0]) for image in images):
+        raise SonarjaxError(f"frames: expected different frames, all {len(images)} are the same")
+    filled = [i if m is None else np.where(m, i, 0.0) for i, m in zip(images, measured, strict=True)]
+    return [i.astype(np.float32) for i in filled], measured
+
+
+def starts_of(poses: Pose, count: int, sonar: Sonar) -> list[Pose]:
+    """Split the poses (frame,) into one for each frame.
+
+    Raises:
+        SonarjaxError: There are not `count` poses, or the object is out of view at one of them.
+    """
+    check_kind(poses, Pose, "poses")
+    if poses.shape != (count,):
+        raise SonarjaxError(f"poses: expected one for each of the {count} frames, got shape {poses.shape}")
+    starts = [jax.tree.map(lambda v, k=k: np.asarray(v)[k], poses) for k in range(count)]
+    beams = np.asarray(sonar.azimuth)
+    for number, pose in enumerate(starts):
+        slant, azimuth = math.hypot(pose.x, pose.y, float(sonar.height)), image_azimuth(pose.x, pose.y, sonar)
+        if not (sonar.range_min < slant < sonar.range_max and beams.min() < azimuth < beams.max()):
+            place = f"x {float(pose.x):.3g} m, y {float(pose.y):.3g} m"
+            raise SonarjaxError(f"poses[{number}]: expected the object in view, got {place}")
+    return starts
