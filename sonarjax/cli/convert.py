@@ -14,6 +14,7 @@ from sonarjax.io import (
     FanOptions,
     PolarAxes,
     SonarjaxError,
+    UnreadableError,
     check_outputs,
     complain,
     convert,
@@ -58,7 +59,11 @@ def run(args: argparse.Namespace) -> int:
     if args.out.lower().endswith((".bag", ".mcap")):
         if args.sonar is not None:
             raise SonarjaxError(f"--sonar: cannot be used with the bag {args.out!r} as --out")
-        say(to_bag(args.files, args.out, options))
+        try:
+            say(to_bag(args.files, args.out, options))
+        except UnreadableError as error:
+            complain(str(error))
+            return 1
         return 0
     if len(args.files) > 1:
         raise SonarjaxError(f"--out: {args.out!r} holds one frame: expected one FILE, got {len(args.files)}")

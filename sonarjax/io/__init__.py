@@ -13,7 +13,7 @@ from sonarjax.io.console import complain, say, silence_stdout
 from sonarjax.io.convert import FAN_OPTIONS, FanOptions, PolarAxes, convert, one_frame, to_bag
 from sonarjax.io.describe import describe
 from sonarjax.io.didson import DIDSON_TABLES, DidsonTables, didson_azimuth_deg, parse_didson
-from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.errors import SonarjaxError, UnreadableError
 from sonarjax.io.fan import fan_to_polar, polar_to_fan
 from sonarjax.io.fan_geometry import FanGeometry, PictureBox, content_box, fan_around, fit_fan
 from sonarjax.io.files import read_bytes
@@ -40,6 +40,7 @@ __all__ = [
     "PictureBox",
     "PolarAxes",
     "SonarjaxError",
+    "UnreadableError",
     "aris_azimuth_deg",
     "bag_topics",
     "check_ending",

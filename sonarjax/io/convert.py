@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 
@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from sonarjax.io.atomic import write_npz, write_png
-from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.errors import SonarjaxError, UnreadableError
 from sonarjax.io.fan import fan_to_polar, polar_to_fan
 from sonarjax.io.fan_geometry import PictureBox, content_box, equal_beams, fan_around, fit_fan
 from sonarjax.io.frame import Frame
@@ -117,13 +117,21 @@ def to_bag(specs: Sequence[str], out: str, options: FanOptions = FanOptions()) -
         One line that says what was written.
 
     Raises:
-        SonarjaxError: An option is given, or as `read_frames` and `write_bag`.
+        UnreadableError: A frame cannot be read, see `read_frames`.
+        SonarjaxError: An option is given, or as `write_bag`.
     """
     for name in FanOptions.__dataclass_fields__:
         if _given(options, name):
             raise SonarjaxError(f"{_option(name)}: cannot be used with the bag {out!r} as --out")
-    count = write_bag(out, chain.from_iterable(map(iter_frames, specs)))
+    count = write_bag(out, chain.from_iterable(map(_readable, specs)))
     return f"{out}: {count} frame{'' if count == 1 else 's'}"
+
+
+def _readable(spec: str) -> Iterator[Frame]:
+    try:
+        yield from iter_frames(spec)
+    except SonarjaxError as error:
+        raise UnreadableError(str(error)) from error
 
 
 def convert(frame: Frame, out: str, options: FanOptions = FanOptions(), axes: PolarAxes | None = None) -> str:

@@ -7,3 +7,7 @@ class SonarjaxError(ValueError):
 
 class OutOfViewError(SonarjaxError):
     """An object lies where the sonar does not see it. A search goes on at other distances."""
+
+
+class UnreadableError(SonarjaxError):
+    """A frame that cannot be read. A command that goes on without it, or tells it from wrong options, exits with 1."""

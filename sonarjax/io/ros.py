@@ -106,6 +106,8 @@ def write_bag(path: str | os.PathLike[str], frames: Iterable[Frame], topic: str 
     ending = target.suffix.lower()
     if ending not in (".bag", ".mcap") and target.exists():
         raise SonarjaxError(f"{target}: expected a folder that does not exist yet")
+    if not target.absolute().parent.is_dir():  # the writer of ROS 2 bags would make it
+        raise SonarjaxError(f"{target}: cannot be written: no such folder {target.parent}")
     partial = target.with_name(f".{target.name}.{secrets.token_hex(6)}.part")
     try:
         count = _write(partial, frames, topic, ending == ".bag")

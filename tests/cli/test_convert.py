@@ -227,6 +227,8 @@ def test_frame_of_the_right_shape_is_recognized(command, place, fan, tmp_path, s
         (("own.npz", *SECTOR, "--out", "p.png"), 2, "own.npz: --opening-deg: cannot be used: the file itself holds"),
         (("missing.png", *SECTOR, "--out", "p.npz"), 1, "missing.png: no such file"),
         (("broken.png", *SECTOR, "--out", "p.npz"), 1, "broken.png: expected a PNG file, this is none"),
+        (("own.npz", "missing.aris", "--out", "p.mcap"), 1, "missing.aris: no such file"),
+        (("own.npz", "--out", "missing/p.mcap"), 2, "missing/p.mcap: cannot be written"),
         (("own.npz", "a.npy", "--out", "p.png"), 2, "--out: 'p.png' holds one frame: expected one FILE, got 2"),
     ],
 )  # fmt: skip
