@@ -157,7 +157,6 @@ def sonarjax(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.slow
-@pytest.mark.computes  # workers optimise their code, and the data sets are equal to the bit
 def test_a_data_set_of_workers_that_are_killed_is_that_of_one_process(place):
     import sonarjax as sj
     from sonarjax.data import FrameSettings, make_dataset

@@ -132,7 +132,6 @@ def test_blocks_are_found() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.computes
 def test_first_steps(tmp_path: Path) -> None:
     (tmp_path / "bin").mkdir()
     command = tmp_path / "bin" / "sonarjax"
