@@ -20,10 +20,9 @@ from sonarjax.refine.objective import BEAMS_PER_BIN
 from sonarjax.refine.template import VIEWS, Subject, nominal_law, render_layers
 from sonarjax.render import RenderQuality, Window, WindowSize, floor_angle
 from sonarjax.scene import Mesh, Pose
-from sonarjax.scene.pose import rotation_x, rotation_y
 from sonarjax.sensor import SensorModel
 from sonarjax.sensor.beams import beam_mixing, streaks
-from sonarjax.sensor.propagation import elevation_gain, pulse_blur, range_middles
+from sonarjax.sensor.propagation import elevation_gain, floor_elevation, pulse_blur, range_middles
 from sonarjax.sonar import Sonar
 
 LEAK_BEAMS = 10.0
@@ -93,7 +92,7 @@ def _received(
     far = (ranges / reference)[:, None]
     (echo, share, shadow), (bounced, *_) = layers
     bare = floor_angle(ranges, sonar)[:, None]
-    lit = elevation_gain(floor_elevation(sonar, ranges), sonar.elevation_aperture, look.skirt)
+    lit = elevation_gain(floor_elevation(sonar), sonar.elevation_aperture, look.skirt)
     gain = jnp.exp(look.gain)
     # Physically the energies of object and floor add up, each with its own backscatter. The simulator's
     # `received_energy` instead gives both one mixed backscatter, by the object's share of the pixel, and the floor's
@@ -125,21 +124,6 @@ def clipped(energy: Float[Array, "*batch"], dark: Any, white: Any) -> Float[Arra
     """`energy` (...) limited to between `dark` and `white`, with rounded corners, see `CORNER`."""
     raised = (energy**CORNER + dark**CORNER) ** (1 / CORNER)
     return (raised**-CORNER + white**-CORNER) ** (-1 / CORNER)
-
-
-@full_precision
-def floor_elevation(sonar: Sonar, ranges: Float[Array, "range"]) -> Float[Array, "range beam"]:
-    """Elevation [rad] in the sonar frame of the floor that each pixel (range, beam) shows, roll included.
-
-    From r·(n₃ sin φ + (n₁ cos θ + n₂ sin θ) cos φ) = −height, where n is the ground's upward direction in the sonar
-    frame.
-    """
-    up = (rotation_y(sonar.tilt) @ rotation_x(sonar.roll))[2]
-    azimuth = jnp.asarray(sonar.azimuth)
-    ahead = up[0] * jnp.cos(azimuth) + up[1] * jnp.sin(azimuth)
-    reach = jnp.hypot(up[2], ahead)
-    down = jnp.clip(sonar.height / (ranges[:, None] * reach), 0.0, 1 - 1e-6)
-    return -jnp.arcsin(down) - jnp.arctan2(ahead, up[2])
 
 
 class Sampling(NamedTuple):

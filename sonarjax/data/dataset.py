@@ -33,7 +33,7 @@ from sonarjax.sensor import SensorModel
 from sonarjax.sonar import Sonar, range_edges_of
 
 SETTINGS, PARTS, SHEET, CARD = "dataset.json", "parts", "contact_sheet.png", "README.md"
-VERSION = 2
+VERSION = 3
 """Version of the folder's layout and of the way in which a frame is drawn from its number."""
 MOST_FRAMES = 2**31
 SENSOR_FIELDS = tuple(field.name for field in dataclasses.fields(SensorModel))

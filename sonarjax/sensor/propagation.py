@@ -115,22 +115,25 @@ def with_skirts(sonar: Sonar) -> Sonar:
 
 
 def floor_elevation(sonar: Sonar) -> Float[Array, "range beam"]:
-    """Return the elevation of the floor that each pixel shows; roll is ignored.
+    """Return the elevation of the floor that each pixel shows.
 
-    From r·(sin φ cos T − cos φ cos θ sin T) = −height. Straight down where the range is less than the height. No
-    source: plane geometry in the package's frames.
+    From r·(n₃ sin φ + (n₁ cos θ + n₂ sin θ) cos φ) = −height, where n is the ground's upward direction in the sonar
+    frame: (−sin T, cos T sin R, cos T cos R) for a tilt T and a roll R. Straight down where the range is less than the
+    height. No source: plane geometry in the package's frames.
 
     Args:
-        sonar: Gives height, tilt, beams and range bins.
+        sonar: Gives height, tilt, roll, beams and range bins.
 
     Returns:
         Elevation in the sonar frame (range, beam) [rad].
     """
-    tilt = jnp.asarray(sonar.tilt, jnp.float32)
-    forward = jnp.cos(jnp.asarray(sonar.azimuth)) * jnp.sin(tilt)
-    reach = jnp.sqrt(jnp.cos(tilt) ** 2 + forward**2)
+    tilt, roll = (jnp.asarray(v, jnp.float32) for v in (sonar.tilt, sonar.roll))
+    azimuth = jnp.asarray(sonar.azimuth)
+    upward = jnp.cos(tilt) * jnp.cos(roll)
+    forward = jnp.cos(azimuth) * jnp.sin(tilt) - jnp.sin(azimuth) * (jnp.cos(tilt) * jnp.sin(roll))
+    reach = jnp.sqrt(upward**2 + forward**2)
     down = sonar.height / (range_middles(sonar)[:, None] * reach)
-    return jnp.arctan2(forward, jnp.cos(tilt)) - _arcsin(jnp.clip(down, 0.0, 1.0 - 1e-6))
+    return jnp.arctan2(forward, upward) - _arcsin(jnp.clip(down, 0.0, 1.0 - 1e-6))
 
 
 def _arcsin(x: Array) -> Array:

@@ -16,7 +16,6 @@ from sonarjax.calibrate.picture import (
     UNEVEN_STD,
     clipped,
     fitted,
-    floor_elevation,
     leaking,
     make_sampling,
     measured_mean,
@@ -26,29 +25,11 @@ from sonarjax.calibrate.picture import (
     stored,
 )
 from sonarjax.render import WindowSize
-from sonarjax.scene.pose import rotation_x, rotation_y
 from sonarjax.sensor import SensorModel, compress, propagation
 from sonarjax.sensor.beams import beam_mixing
 from sonarjax.sensor.observe import received_energy
 
 SONAR = sj.Sonar.preset("didson-hf", tilt=math.radians(20.0), n_ranges=64)
-
-
-def test_floor_elevation_is_the_simulators_without_roll() -> None:
-    ranges = propagation.range_middles(SONAR)
-    np.testing.assert_allclose(floor_elevation(SONAR, ranges), propagation.floor_elevation(SONAR), atol=2e-6)
-
-
-@pytest.mark.parametrize("roll", [-0.2, 0.1])
-def test_rays_at_the_floors_elevation_meet_the_floor(roll: float) -> None:
-    sonar = SONAR.replace(roll=roll)
-    ranges = np.asarray(propagation.range_middles(sonar), np.float64)
-    phi = np.asarray(floor_elevation(sonar, jnp.asarray(ranges, jnp.float32)), np.float64)
-    theta = np.asarray(sonar.azimuth, np.float64)[None]
-    ray = np.stack([np.cos(phi) * np.cos(theta), np.cos(phi) * np.sin(theta), np.sin(phi)], axis=-1)
-    to_ground = np.asarray(rotation_y(sonar.tilt) @ rotation_x(roll), np.float64)
-    z = float(sonar.height) + ranges[:, None] * (ray @ to_ground.T)[..., 2]
-    np.testing.assert_allclose(z, 0.0, atol=1e-5)
 
 
 def test_bare_floor_is_as_bright_as_the_simulator_has_it() -> None:

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from sonarjax.render.energy import floor_energy
 from sonarjax.render.window import in_sonar_frame
@@ -65,13 +66,14 @@ def test_elevation_is_flat_then_steep() -> None:
     assert gain[5] - gain[4] == pytest.approx(-skirt, abs=0.05)
 
 
+@pytest.mark.parametrize("roll", [0.0, -0.2, 0.1])
 @pytest.mark.parametrize("name", ["didson-hf", "aris-3000", "oculus"])
-def test_floor_elevation_points_at_the_floor(name: str) -> None:
-    sonar = Sonar.preset(name, tilt=math.radians(20))
+def test_floor_elevation_points_at_the_floor(name: str, roll: float) -> None:
+    sonar = Sonar.preset(name, tilt=math.radians(20), roll=roll)
     phi, theta = np.asarray(floor_elevation(sonar), np.float64), np.asarray(sonar.azimuth, np.float64)
-    ranges = np.asarray(range_middles(sonar), np.float64)[:, None]
-    tilt = float(sonar.tilt)
-    z = float(sonar.height) + ranges * (np.sin(phi) * np.cos(tilt) - np.cos(phi) * np.cos(theta) * np.sin(tilt))
+    ray = np.stack([np.cos(phi) * np.cos(theta), np.cos(phi) * np.sin(theta), np.sin(phi)], axis=-1)
+    to_ground = Rotation.from_euler("YX", [float(sonar.tilt), roll]).as_matrix()
+    z = float(sonar.height) + np.asarray(range_middles(sonar), np.float64)[:, None] * (ray @ to_ground.T)[..., 2]
     assert np.abs(z).max() < 1e-5
 
 
