@@ -16,6 +16,7 @@ import numpy as np
 from numpy.lib import format
 
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.files import reason
 
 PIXEL_LIMIT = 64 * 2**20
 """Most pixels that a PNG, NPY or NPZ may have (64 Mi); a full Oculus ping has 0.2 Mi."""
@@ -57,7 +58,7 @@ def npy_header(data: bytes, name: str, field: str = "array") -> NpyHeader:
             read = {(1, 0): format.read_array_header_1_0, (2, 0): format.read_array_header_2_0}[format.read_magic(file)]
             shape, fortran, dtype = read(file, max_header_size=HEADER_LIMIT)
     except Exception as error:  # a hostile header can raise nearly anything, MemoryError and RecursionError included
-        why = "version 1 or 2" if isinstance(error, KeyError) else _short_text(_line(error))
+        why = "version 1 or 2" if isinstance(error, KeyError) else _short_text(reason(error))
         raise SonarjaxError(f"{name}: {field}: expected NPY data with its header: {why}") from error
     if dtype.subdtype is not None or dtype.names is not None or dtype.kind not in "biuf":
         raise SonarjaxError(f"{name}: {field}: dtype: expected bool, integer or float, got {_short_text(str(dtype))}")
@@ -95,7 +96,7 @@ class NpzArchive:
             self._zip = zipfile.ZipFile(io.BytesIO(data))
             members = self._zip.infolist()
         except Exception as error:  # zipfile raises many types on corrupt directories
-            raise SonarjaxError(f"{name}: expected a complete NPZ (zip) file: {_line(error)}") from error
+            raise SonarjaxError(f"{name}: expected a complete NPZ (zip) file: {reason(error)}") from error
         self._members = {info.filename.removesuffix(".npy"): info for info in members}
 
     @property
@@ -130,8 +131,4 @@ class NpzArchive:
                 # Reading one byte past the end makes zipfile verify the checksum.
                 return member.read(size), bool(member.read(1))
         except Exception as error:
-            raise SonarjaxError(f"{self.name}: {key}: cannot be unpacked: {_line(error)}") from error
-
-
-def _line(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
+            raise SonarjaxError(f"{self.name}: {key}: cannot be unpacked: {reason(error)}") from error

@@ -16,14 +16,13 @@ from dataclasses import dataclass
 from sonarjax.io.files import Content
 from sonarjax.io.frame import Frame
 from sonarjax.io.header import Header
-from sonarjax.io.oculus import FIRE_AT, read_ping
+from sonarjax.io.oculus import FIRE_AT, SIMPLE_PING, read_ping
 from sonarjax.io.recording import Record, each_record, frames_of
 
 FILE_MAGIC, ITEM_MAGIC = 0x11223344, 0xAABBCCDD
 FILE_HEADER, ITEM_HEADER = "II16sHH4xqd", "IIHH4xdH2xII4x"
 SONAR_ITEM = 10
 """Kind of an item whose payload is a packet from the sonar."""
-SIMPLE_PING = 0x23
 PACKET_LIMIT = 2**28
 """Largest packet that is unpacked, 256 MiB [bytes], so that a hostile stream cannot fill the memory."""
 

@@ -103,7 +103,8 @@ class LeanSearch:
         found = match_positions(decimated(image, step), entry.prepared, small, min_valid=MIN_VALID, whole=True)
         scores, rows, columns = jax.device_get((found.scores, found.row, found.col))
         top, left = (int(v) for v in np.asarray(entry.bank.offset))
-        kept = self._distinct(scores)
+        turns = np.stack([_rotation(*attitude) for attitude in self.attitudes[:, [0, 2, 3]]])
+        kept = distinct_turns(turns, scores, self.config.apart, self.config.candidates)
         poses = []
         for k in kept:
             match = Match(entry.bank, scores, step * int(rows[k]) - top, int(columns[k]) - left)
@@ -132,17 +133,20 @@ class LeanSearch:
         sonar = self.search.sonar
         return WindowSize(sonar.shape, sonar.n_beams)
 
-    def _distinct(self, scores: np.ndarray) -> list[int]:
-        """The templates with the best `scores` (template,), each rotated by `apart` or more from those before it."""
-        turns = np.stack([_rotation(*attitude) for attitude in self.attitudes[:, [0, 2, 3]]])
-        kept: list[int] = []
-        for k in np.argsort(-scores):
-            cosines = [(np.trace(turns[k].T @ turns[other]) - 1) / 2 for other in kept]
-            if all(cosine < math.cos(self.config.apart) for cosine in cosines):
-                kept.append(int(k))
-            if len(kept) == self.config.candidates:
-                break
-        return kept
+
+def distinct_turns(turns: np.ndarray, scores: np.ndarray, apart: float, most: int) -> list[int]:
+    """Numbers of the poses with the best `scores` (pose,), at most `most` of them.
+
+    Each is rotated by `apart` [rad] or more from all before it. `turns` (pose, 3, 3) are the rotations.
+    """
+    kept: list[int] = []
+    for k in np.argsort(-scores):
+        cosines = [(np.trace(turns[k].T @ turns[other]) - 1) / 2 for other in kept]
+        if all(cosine < math.cos(apart) for cosine in cosines):
+            kept.append(int(k))
+        if len(kept) == most:
+            break
+    return kept
 
 
 def _attitudes(mesh: Mesh, free: Sequence[str], config: LeanSearchConfig) -> np.ndarray:

@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.given import check_kind
 from sonarjax.match import LeanSearch, LeanSearchConfig, SearchConfig, TargetSearch
+from sonarjax.match.lean import distinct_turns
 from sonarjax.refine.config import RefineConfig
 from sonarjax.refine.errorbar import POSE_ERROR_BAR, PoseErrorBar
 from sonarjax.refine.free import ALL, check_free
@@ -33,7 +34,7 @@ FINDING = RefineConfig(
     blurs=(3.0, 1.0), iterations=6, polish=0, margin=(MARGIN_BINS, MARGIN_BEAMS), sharpness=0.0,
 )  # fmt: skip
 """How a candidate is refined on the map, and then on the frame; the bounds are those of a step of the bank."""
-FRAME_BLURS = (2.0, 0.7)
+FINDING_BLURS = (2.0, 0.7)
 """Blurs [range bins] of the refinement on the frame itself, which continues that on the map."""
 PERTURBATIONS = {"z": 0.02, "roll": math.radians(8.0), "pitch": math.radians(8.0)}
 """Changes of the best poses [m, rad], from which they are refined again, because lesser optima lie near the
@@ -192,7 +193,7 @@ class PoseFinder:
         return self._widened(jax.tree.map(lambda v: v[order], found))
 
     def _on_frame(self) -> RefineConfig:
-        return replace(self.refine, blurs=FRAME_BLURS[-len(self.refine.blurs) :], template="either")
+        return replace(self.refine, blurs=FINDING_BLURS[-len(self.refine.blurs) :], template="either")
 
     def _refined(self, picture: np.ndarray, start: Pose, config: RefineConfig, frame: Prepared) -> PoseEstimate:
         count = start.shape[0]
@@ -212,15 +213,8 @@ def kept(estimate: PoseEstimate, start: Pose) -> Pose:
 
 def distinct(estimate: PoseEstimate, apart: float, most: int) -> np.ndarray:
     """Numbers of the best-scoring poses (hypothesis,), each rotated by `apart` [rad] or more from all before it."""
-    turns = np.asarray(_rotations(estimate.pose))
-    chosen: list[int] = []
-    for k in np.argsort(-np.asarray(estimate.score)):
-        cosines = [(np.trace(turns[k].T @ turns[other]) - 1) / 2 for other in chosen]
-        if all(cosine < math.cos(apart) for cosine in cosines):
-            chosen.append(int(k))
-        if len(chosen) == most:
-            break
-    return np.asarray(chosen)
+    turns, scores = np.asarray(_rotations(estimate.pose)), np.asarray(estimate.score)
+    return np.asarray(distinct_turns(turns, scores, apart, most))
 
 
 @jax.jit
