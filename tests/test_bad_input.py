@@ -101,7 +101,7 @@ CASES = {
     "sj.Mesh.load(path, 'mm')": "unit_m must be a positive number of metres (0.001 for millimetres), got 'mm'",
     "sj.Mesh.from_arrays('vertices', [[0, 1, 2]])": "mesh: vertices: expected numbers, got 'vertices'",
     "sj.Turning(rate_std='5')": "rate_std: expected a number of 0 or more, got '5'",
-    "sj.TrackConfig(components=24.5)": "TrackConfig: expected whole numbers, ",
+    "sj.TrackConfig(components=24.5)": "TrackConfig: expected components of 2 or more and ",
     "sj.calibrate([im], m, s.replace(range_min=0.0), free=['range_offset'])": "free: range_offset: expected a window ",
     "s.replace(tlt=0.3)": "sonar: unknown field tlt, expected one of: azimuth, range_min, ",
 }

@@ -108,7 +108,7 @@ class TrackConfig:
             or self.hypotheses < 1
         ):
             raise SonarjaxError(
-                "TrackConfig: expected whole numbers, components of 2 or more and hypotheses of 1 or more, "
+                "TrackConfig: expected components of 2 or more and hypotheses of 1 or more, whole numbers, "
                 f"got {self.components} and {self.hypotheses}"
             )
 
