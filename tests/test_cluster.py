@@ -99,6 +99,19 @@ def test_what_is_no_cluster_is_one_clear_error(address):
         pass
 
 
+def test_a_network_travels_to_a_worker_as_it_is(rng):
+    from distributed.protocol import deserialize, serialize
+
+    import sonarjax as sj
+
+    sent = sj.load_segmenter()
+    there = deserialize(*serialize(sent))
+    assert (there.name, there.threshold, there.tile, there.rule) == (sent.name, sent.threshold, sent.tile, sent.rule)
+    jax.tree.map(np.testing.assert_array_equal, there.weights, sent.weights)
+    image = rng.random((64, 32), np.float32)
+    np.testing.assert_array_equal(there.semantic(image), sent.semantic(image))
+
+
 # ---------------------------------------------------------------- with one
 
 

@@ -151,9 +151,9 @@ def calibrate(
     images, measured = check_frames(frames, masks, sonar)
     if poses is not None:
         starts = starts_of(poses, len(images), sonar)
-        known_at = [Prepared(image, mask, image) for image, mask in zip(images, measured, strict=True)]
-        job = Job(known_at, mesh, sonar, names, std, engine, progress, WIDENING)
-        fit, known = fit_frames(job, known_at, starts, with_nominal_look(np.zeros(len(names))))
+        prepared = [Prepared(image, mask, image) for image, mask in zip(images, measured, strict=True)]
+        job = Job(prepared, mesh, sonar, names, std, engine, progress, WIDENING)
+        fit, known = fit_frames(job, prepared, starts, with_nominal_look(np.zeros(len(names))))
         return _as_calibration(job, stated, fit, known, poses, np.ones(len(images)), np.ones(len(images), bool))
     made = segmenter if isinstance(segmenter, Segmenter) else load_segmenter(segmenter)
     progress("segmenting")

@@ -10,4 +10,4 @@ class OutOfViewError(SonarjaxError):
 
 
 class UnreadableError(SonarjaxError):
-    """A frame that cannot be read. A command that goes on without it, or tells it from wrong options, exits with 1."""
+    """A frame that cannot be read: a command then exits with 1, not with 2 as for wrong options."""

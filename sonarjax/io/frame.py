@@ -17,6 +17,13 @@ UNEVEN = 0.02
 """Largest deviation of a range bin from even spacing [bins]; float32 rounding is smaller."""
 
 
+def evenly_spaced(ranges: Any) -> bool:
+    """True if ascending ranges (range,) [m], edges or centres of range bins, are equally far apart."""
+    steps = len(ranges) - 1
+    off = np.abs(ranges - np.linspace(ranges[0], ranges[-1], steps + 1)).max()
+    return bool(off <= UNEVEN * (ranges[-1] - ranges[0]) / steps)
+
+
 @dataclass(frozen=True, eq=False)
 class Frame:
     """One sonar frame of shape (range, beam)."""

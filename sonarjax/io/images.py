@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float32
 
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.io.frame import UNEVEN, Frame, Geometry
+from sonarjax.io.frame import Frame, Geometry, evenly_spaced
 from sonarjax.io.naming import frame_numbers, named
 from sonarjax.io.npy import NpzArchive, parse_npy
 from sonarjax.io.png import parse_png
@@ -144,7 +144,7 @@ def _geometry(archive: NpzArchive, shape: tuple[int, int]) -> Geometry | None:
         return None
     azimuth = _ascending(archive, "azimuth_deg", shape[1])
     edges = _ascending(archive, "range_edges_m", shape[0] + 1)
-    if np.abs(edges - np.linspace(edges[0], edges[-1], len(edges))).max() > UNEVEN * (edges[-1] - edges[0]) / shape[0]:
+    if not evenly_spaced(edges):
         raise SonarjaxError(f"{archive.name}: range_edges_m: expected range bins of equal length")
     return {
         "azimuth_deg": azimuth,

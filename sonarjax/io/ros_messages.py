@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.io.frame import UNEVEN, Frame, Geometry
+from sonarjax.io.frame import UNEVEN, Frame, Geometry, evenly_spaced
 from sonarjax.io.header import RANGE_LIMIT_M
 from sonarjax.io.naming import named
 
@@ -142,7 +142,7 @@ def _window(name: str, ranges: np.ndarray) -> tuple[float, float]:
     if len(ranges) < 2 or not np.isfinite(ranges).all() or ranges[-1] <= ranges[0] or abs(ranges[-1]) > RANGE_LIMIT_M:
         raise SonarjaxError(f"{name}: ranges: expected two or more ascending ranges of at most {RANGE_LIMIT_M:g} m")
     step = (ranges[-1] - ranges[0]) / (len(ranges) - 1)
-    if np.abs(ranges - (ranges[0] + step * np.arange(len(ranges)))).max() > UNEVEN * step:
+    if not evenly_spaced(ranges):
         raise SonarjaxError(f"{name}: ranges: expected range bins of equal length")
     near = float(ranges[0] - step / 2)
     return max(near, 0.0) if near > -UNEVEN * step else _negative(name, near), float(ranges[-1] + step / 2)

@@ -101,12 +101,8 @@ class TrackConfig:
             raise SonarjaxError(f"TrackConfig: expected misses, tail and alias between 0 and 1, got {shares}")
         if not all(v > 0 for v in (*lengths, self.yaw_scale, self.tail_scale, self.merge)):
             raise SonarjaxError(f"TrackConfig: expected positive numbers, got {self}")
-        counts = self.components, self.hypotheses
-        if (
-            not all(isinstance(v, int) and not isinstance(v, bool) for v in counts)
-            or self.components < 2
-            or self.hypotheses < 1
-        ):
+        counts = (self.components, 2), (self.hypotheses, 1)
+        if not all(isinstance(v, int) and v >= least for v, least in counts):
             raise SonarjaxError(
                 "TrackConfig: expected components of 2 or more and hypotheses of 1 or more, whole numbers, "
                 f"got {self.components} and {self.hypotheses}"
