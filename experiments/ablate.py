@@ -2,7 +2,8 @@
 
 python -m experiments.ablate --vary severity                     [--preset smoke] [--help]
 python -m experiments.ablate --vary tilt --values -5 0 5         some of its values
-python -m experiments.ablate --vary training --seeds 0 1 2       the full form: some 7 h
+python -m experiments.ablate --vary training --seeds 0 1 2       the full form: some 7 h on two cores
+python -m experiments.ablate --vary training --seeds 0 1 2 --recipe paper   the same in larger batches, for a GPU
 
 `SWEEPS` is the table of what can be varied, and how. Thresholds were fixed beforehand on validation frames of the whole
 sensor at severity 1; the accuracy at the best threshold on these very frames stands beside, and alone where the banks

@@ -1,7 +1,8 @@
 """Trainings of the paper's recipe that differ in one thing: eq. 3's normaliser and λ, the discriminator, the output.
 
-The full form is the recipe `paper-cpu` at a third of its length: width 16, 10 epochs of the 6,780 pairs of §3.1. A
-short form, such as `--width 8 --pairs 512 --images 2048`, says what helps early, not where trainings end. All variants
+The full form is the recipe `paper-cpu` at a third of its length: width 16, 10 epochs of the 6,780 pairs of §3.1.
+`--recipe paper` takes the batches and the number type of the recipe for GPUs, `--width 64` also its width. A short form,
+such as `--width 8 --pairs 512 --images 2048`, says what helps early, not where trainings end. All variants
 see the same number of images, and are judged on the same validation pairs. An interrupted training goes on from its
 checkpoint, and one that has ended is kept.
 """
@@ -12,7 +13,7 @@ import json
 import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -52,6 +53,8 @@ SIZES = {"a quarter of the pairs": 0.25, "four times the pairs": 4.0}
 class Trainings:
     """How large the trainings are."""
 
+    recipe: Literal["paper-cpu", "paper"] = "paper-cpu"
+    """Whose pairs, batches and networks (training)."""
     width: int = 16
     """Channels of the first layer of both networks (training)."""
     images: int = 10 * PAPER_PAIRS
@@ -60,8 +63,8 @@ class Trainings:
     """Different pairs among them, where the variant says nothing else (training)."""
     validation_pairs: int = 256
     """Pairs that judge all variants (training)."""
-    batch: int = 4
-    """Pairs in a step (training)."""
+    batch: int = 0
+    """Pairs in a step; 0 for the recipe's number (training)."""
 
 
 def share_pairs(folder: Path, settings: Trainings, seed: int) -> None:
@@ -83,7 +86,7 @@ def recipe_of(variant: str, settings: Trainings, seed: int, shared: Path) -> Rec
     """
     pairs = round(settings.pairs * SIZES.get(variant, 1.0))
     each = min(pairs, settings.pairs)
-    recipe = find_recipe("paper-cpu")
+    recipe = find_recipe(settings.recipe)
     widths = {"width": settings.width, "discriminator_width": settings.width}
     return replace(
         recipe,
@@ -91,7 +94,7 @@ def recipe_of(variant: str, settings: Trainings, seed: int, shared: Path) -> Rec
         networks=replace(recipe.networks, **widths, **VARIANTS.get(variant, {})),
         discriminative=variant == ALONE,
         run_seed=seed,
-        batch=settings.batch,
+        batch=settings.batch or recipe.batch,
         pairs=each,
         passes=max(settings.images // pairs, 1),
         sets=pairs // each,
