@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import platform
+import shlex
 import subprocess
 import sys
 import time
@@ -245,7 +246,7 @@ def _command(arguments: list[str]) -> str:
     """What was typed, but for the folder of the results: it says nothing of them and everything of a machine."""
     at = arguments.index("--runs") if "--runs" in arguments else len(arguments)
     name = getattr(sys.modules["__main__"].__spec__, "name", "?")
-    return " ".join(["python -m", name, *arguments[:at], *arguments[at + 2 :]])
+    return f"python -m {shlex.join([name, *arguments[:at], *arguments[at + 2 :]])}"
 
 
 def git_hash() -> str | None:

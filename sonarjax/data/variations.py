@@ -69,8 +69,10 @@ def vary(shape: Shape, *, key: Array) -> tuple[Shape, Variation]:
 
 def without_floor(sonar: Sonar, gone: Array) -> Sonar:
     """The sonar over no floor where `gone` () is true."""
-    length, width = (jnp.where(gone, NO_FLOOR_M, side) for side in (sonar.floor.length, sonar.floor.width))
-    return replace(sonar, floor=replace(sonar.floor, length=length, width=width))
+    floor = sonar.floor
+    assert floor is not None  # every view has a floor
+    length, width = (jnp.where(gone, NO_FLOOR_M, side) for side in (floor.length, floor.width))
+    return replace(sonar, floor=replace(floor, length=length, width=width))
 
 
 @full_precision
