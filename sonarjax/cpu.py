@@ -131,6 +131,11 @@ class CpuEngine(Engine):
         self._busy = threading.local()
         _register_results()
 
+    @property
+    def at_once(self) -> int:
+        """How many items `map` processes at the same time: one for each core."""
+        return cores()
+
     def run(self, function: Callable[..., Any], *args: Any, **static: Any) -> Any:
         """Call a function under `jax.jit`, with its traced program from disk if an earlier process stored it.
 

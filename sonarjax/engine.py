@@ -12,6 +12,11 @@ from typing import Any
 class Engine:
     """Plain JAX: functions compile when they are first called, and items are processed one after another."""
 
+    @property
+    def at_once(self) -> int:
+        """How many items `map` processes at the same time."""
+        return 1
+
     def run(self, function: Callable[..., Any], *args: Any, **static: Any) -> Any:
         """Call a function under `jax.jit`.
 

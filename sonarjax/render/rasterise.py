@@ -35,6 +35,17 @@ def covered(
     return rasterised(middle, half, present[..., None].astype(jnp.float32), beams, rows, _share)[0]
 
 
+def covered_by_two(
+    first: tuple[Array, Array, Array], second: tuple[Array, Array, Array], beams: Float[Array, "beam slab"], rows: int
+) -> tuple[Float[Array, "range beam"], Float[Array, "range beam"]]:
+    """As `covered` for two lists of items, each `(middle, half, present)`: one pass over the range bins for both."""
+    middle, half = (jnp.concatenate([a, b], axis=-1) for a, b in zip(first[:2], second[:2], strict=True))
+    present = [items[2][..., None].astype(jnp.float32) for items in (first, second)]
+    apart = [jnp.pad(items, ((0, 0), (0, 0), (n, 1 - n))) for n, items in enumerate(present)]
+    layers = rasterised(middle, half, jnp.concatenate(apart, axis=1), beams, rows, _share)
+    return layers[0], layers[1]
+
+
 def covered_by_each(
     middle: Float[Array, "slab 2 item"],
     half: Float[Array, "slab 2 item"],

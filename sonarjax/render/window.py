@@ -20,7 +20,7 @@ from sonarjax.render.energy import floor_energy, floor_lit, object_energy
 from sonarjax.render.frame import RenderQuality, SonarFrame, Window
 from sonarjax.render.materialise import materialised
 from sonarjax.render.platform import platform_lit, platform_span
-from sonarjax.render.rasterise import covered, covered_and_spread, covered_by_each, spread
+from sonarjax.render.rasterise import covered, covered_and_spread, covered_by_each, covered_by_two, spread
 from sonarjax.render.segments import Segments, View, cut
 from sonarjax.render.slabs import Slabs, event_azimuths, make_slabs, per_beam
 from sonarjax.render.spans import (
@@ -219,8 +219,7 @@ def _look(
 def _shares(seen: _Seen) -> tuple[Float[Array, "range beam"], Float[Array, "range beam"]]:
     """Highlight and shadow, each (range, beam)."""
     spans, pixels = seen.visible.spans, (seen.slabs.weights, len(seen.edges) - 1)
-    shown = covered(*seen.echo_spans, spans.echo_spans, *pixels)
-    return shown, covered(*seen.occluded_spans, spans.occluded_spans, *pixels)
+    return covered_by_two((*seen.echo_spans, spans.echo_spans), (*seen.occluded_spans, spans.occluded_spans), *pixels)
 
 
 def _echo(seen: _Seen, mesh: Mesh, quality: RenderQuality) -> Float[Array, "range beam"]:

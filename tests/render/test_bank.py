@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from sonarjax.engine import Engine
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.render import RenderQuality, bank_place, floor_point, image_azimuth, render, template_bank
 from sonarjax.render.region import leaning_room, plan_window
@@ -112,6 +113,25 @@ def test_any_list_of_yaws(brick):
     for template, yaw in zip(np.asarray(bank.templates), wild, strict=True):
         np.testing.assert_allclose(template, full(brick, yaw)[row : row + h, column : column + w], atol=1e-4)
     np.testing.assert_array_equal(bank.templates[0], bank.templates[3])
+
+
+@pytest.mark.parametrize(("count", "at_once", "calls"), [(36, 1, 2), (36, 2, 2), (36, 4, 4), (9, 1, 1), (40, 2, 3)])
+def test_calls_are_long_unless_threads_would_idle(brick, bank, count, at_once, calls):
+    """What a call renders does not depend on how many it renders."""
+
+    class Counting(Engine):
+        made = 0
+        at_once = property(lambda _: at_once)
+
+        def run(self, function, *args, **static):
+            self.made += 1
+            return super().run(function, *args, **static)
+
+    engine = Counting()
+    found = template_bank(brick, SONAR, np.resize(YAWS, count), x=X, y=Y, engine=engine)
+    assert engine.made == calls
+    if count == len(YAWS):
+        np.testing.assert_allclose(found.templates, bank.templates, atol=1e-6)
 
 
 @pytest.mark.parametrize("yaws", [[], [0.0, math.nan], [math.inf], [[0.0, 1.0]]])

@@ -7,7 +7,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sonarjax.render.rasterise import covered, covered_and_spread, covered_by_each, ramp, rasterised, spread
+from sonarjax.render.rasterise import (
+    covered,
+    covered_and_spread,
+    covered_by_each,
+    covered_by_two,
+    ramp,
+    rasterised,
+    spread,
+)
 
 ROWS, SLABS, ITEMS, OWNERS = 80, 5, 4, 3
 EACH = jnp.eye(SLABS)
@@ -57,6 +65,15 @@ def test_all_owners_together_cover_what_one_pass_finds(spans):
     )
     np.testing.assert_allclose(together, covered(*map(jnp.asarray, (middle, half, present)), EACH, ROWS), atol=1e-5)
     assert np.isfinite(apart).all() and (np.asarray(apart).max(axis=(1, 2)) > 0.5).all()
+
+
+def test_two_lists_in_one_pass_cover_what_each_covers_by_itself(spans):
+    middle, half, present, _ = map(jnp.asarray, spans)
+    first = middle, half, present
+    second = tuple(values[..., :2] for values in (middle[:, :, ::-1] + 3.3, half, present[:, ::-1]))
+    for found, one in zip(covered_by_two(first, second, EACH, ROWS), (first, second), strict=True):
+        np.testing.assert_allclose(found, covered(*one, EACH, ROWS), atol=1e-5)
+        assert 0.02 < np.mean(found) < 0.9
 
 
 def test_density_is_spread_over_what_its_span_covers(spans):
