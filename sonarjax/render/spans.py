@@ -37,6 +37,7 @@ from sonarjax.scene.mesh import CREASE_ANGLE
 
 EMPTY_TAU = 1e-7  # an interval narrower than this counts as empty
 HORIZON = 1e-4  # least 1/planar range [1/m]: farther surfaces are put at 10 km
+FEW_FACETS = 8  # facets that a slice of a simple body shows at most: piles of three bricks show up to 7
 MOST_ITEMS = 12  # most spans of a kind that a slice keeps, where spans are not told apart by object
 BLOCK = 32  # longest axis that XLA reduces in one plain loop
 LONGEST_PRODUCT = 128  # intervals up to which a product of matrices counts faster than `cumsum`
@@ -84,10 +85,11 @@ class Spans(NamedTuple):
 def max_items(crossings: int, by_facet: bool = False, objects: int = 0) -> tuple[int, int]:
     """How many echo spans and how many occluded spans a slice keeps; any further ones are joined to the last.
 
-    The estimate allows three triangles to an echo span and four to an occluded span. `by_facet` allows one triangle to
-    an echo span. Where spans are told apart by object, each of the `objects` may add one more.
+    The estimate allows three triangles to an echo span and four to an occluded span. `by_facet` allows two triangles to
+    an echo span, and one to each of the first `FEW_FACETS`. Where spans are told apart by object, each of the `objects`
+    may add one more.
     """
-    echo_spans = crossings if by_facet else crossings // 3
+    echo_spans = min(crossings, max(FEW_FACETS, crossings // 2)) if by_facet else crossings // 3
     return max(2, min(echo_spans, MOST_ITEMS)) + objects, max(2, min(crossings // 4, MOST_ITEMS)) + objects
 
 
