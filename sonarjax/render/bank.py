@@ -170,7 +170,7 @@ def _all_views(
     """Render all views, a few at a time, so that banks of any length share compiled code. The last part is filled up by
     repeating the last view.
     """
-    size_of_part = _views_at_once(len(attitudes), engine)
+    size_of_part = _views_at_once(engine)
     parts = -(-len(attitudes) // size_of_part)
     filler = np.repeat(attitudes[-1:], parts * size_of_part - len(attitudes), axis=0)
     padded = np.concatenate([attitudes, filler]).reshape(parts, size_of_part, -1)
@@ -186,14 +186,14 @@ def _all_views(
     return with_enough_room(render_part, mesh)
 
 
-def _views_at_once(count: int, engine: Engine) -> int:
-    """How many of `count` views one call renders. Two sizes at most, as each is compiled.
+def _views_at_once(engine: Engine) -> int:
+    """How many views one call renders: the same for all banks, as each number is compiled anew.
 
     A call costs about as much as one view, so calls are long, unless threads would be left without any.
     """
     if jax.default_backend() != "cpu":
         return VMAPPED
-    return VIEWS if count >= VIEWS * engine.at_once else FEW_VIEWS
+    return VIEWS if engine.at_once <= 2 else FEW_VIEWS
 
 
 @partial(jax.jit, static_argnames=("size", "quality"))
