@@ -115,7 +115,9 @@ def test_any_list_of_yaws(brick):
     np.testing.assert_array_equal(bank.templates[0], bank.templates[3])
 
 
-@pytest.mark.parametrize(("count", "at_once", "calls"), [(36, 1, 2), (36, 2, 2), (36, 4, 4), (9, 1, 1), (9, 4, 1), (40, 2, 3)])
+@pytest.mark.parametrize(
+    ("count", "at_once", "calls"), [(36, 1, 2), (36, 2, 2), (36, 4, 4), (9, 1, 1), (9, 4, 1), (40, 2, 3)]
+)
 def test_calls_are_long_unless_threads_would_idle(brick, bank, count, at_once, calls):
     """What a call renders does not depend on how many it renders."""
 
