@@ -234,7 +234,7 @@ def run(settings: Settings, job: Job) -> Report:
     report: Report = {"platform": jax.devices()[0].platform, "bank": found.pop("bank"), "big": found["big"]}
     report["curve"] = sorted(found.values(), key=lambda row: row["triangles"])
     report["growth"] = {name: growth(report["curve"], name) for name in (OURS, TURNED)}
-    report["figure"] = draw(report, job.folder)
+    report["figure"] = draw(report, job.folder).name
     return report
 
 

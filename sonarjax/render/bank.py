@@ -32,7 +32,7 @@ from sonarjax.sonar import Sonar
 
 BANK_QUALITY = RenderQuality(sub_beams=1)
 ROW_STEP = 32  # rows of a window are rounded up to multiples of this: a finer step than elsewhere, as every view pays
-VIEWS, FEW_VIEWS = 18, 9  # templates that one call of the compiled function renders: a half or a quarter of most banks
+VIEWS, FEW_VIEWS = 18, 9  # templates that one call of the compiled function renders: half or a quarter of most banks
 VMAPPED = 36  # the same on an accelerator, where they are rendered at once
 ROUGH = 16  # with this many times more sharp edges than slabs may end at, few slabs would end at the right ones
 TOUCHED = 0.01  # a pixel belongs to the object when its semantic value is this far from the background's
@@ -170,7 +170,7 @@ def _all_views(
     """Render all views, a few at a time, so that banks of any length share compiled code. The last part is filled up by
     repeating the last view.
     """
-    size_of_part = _views_at_once(engine)
+    size_of_part = _views_at_once(len(attitudes), engine)
     parts = -(-len(attitudes) // size_of_part)
     filler = np.repeat(attitudes[-1:], parts * size_of_part - len(attitudes), axis=0)
     padded = np.concatenate([attitudes, filler]).reshape(parts, size_of_part, -1)
@@ -186,14 +186,14 @@ def _all_views(
     return with_enough_room(render_part, mesh)
 
 
-def _views_at_once(engine: Engine) -> int:
-    """How many views one call renders: the same for all banks, as each number is compiled anew.
+def _views_at_once(count: int, engine: Engine) -> int:
+    """How many of `count` views one call renders: one of two numbers, as each is compiled anew.
 
     A call costs about as much as one view, so calls are long, unless threads would be left without any.
     """
     if jax.default_backend() != "cpu":
         return VMAPPED
-    return VIEWS if engine.at_once <= 2 else FEW_VIEWS
+    return VIEWS if count > FEW_VIEWS and engine.at_once <= 2 else FEW_VIEWS
 
 
 @partial(jax.jit, static_argnames=("size", "quality"))
