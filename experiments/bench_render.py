@@ -197,7 +197,7 @@ def growth(rows: list[dict[str, Any]], name: str) -> dict[str, float]:
     return {"fit": float(np.polyfit(count, cost, 1)[0]), "steepest": float((np.diff(cost) / np.diff(count)).max())}
 
 
-def draw(report: dict[str, Any], folder: Path) -> Path:
+def draw(report: dict[str, Any], folder: Path) -> None:
     """Cost of a view against triangles, ours and the peer's, as a PNG."""
     import matplotlib
 
@@ -215,7 +215,6 @@ def draw(report: dict[str, Any], folder: Path) -> Path:
     axes.legend()
     figure.savefig(folder / "triangles.png", dpi=150)
     plt.close(figure)
-    return folder / "triangles.png"
 
 
 def run(settings: Settings, job: Job) -> Report:
@@ -234,7 +233,7 @@ def run(settings: Settings, job: Job) -> Report:
     report: Report = {"platform": jax.devices()[0].platform, "bank": found.pop("bank"), "big": found["big"]}
     report["curve"] = sorted(found.values(), key=lambda row: row["triangles"])
     report["growth"] = {name: growth(report["curve"], name) for name in (OURS, TURNED)}
-    report["figure"] = draw(report, job.folder).name
+    draw(report, job.folder)
     return report
 
 
@@ -254,7 +253,7 @@ def table(report: Report) -> str:
         for name, exponent in report["growth"].items()
         if exponent
     ]
-    return "\n".join([markdown(head, rows), "", *grown, f"figure: {report['figure']}"])
+    return "\n".join([markdown(head, rows), "", *grown])
 
 
 if __name__ == "__main__":
