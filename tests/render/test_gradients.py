@@ -116,6 +116,7 @@ def derivatives():
 
 
 @pytest.mark.slow
+@pytest.mark.computes
 @pytest.mark.parametrize("loss", [0, 1], ids=["squares", "1-ncc"])
 @pytest.mark.parametrize("parameter", [0, 1, 2], ids=NAMES[:3])
 def test_pose_gradients(derivatives, loss, parameter):
@@ -154,6 +155,7 @@ def test_a_stepped_body_moves_as_its_steps_do():
 
 
 @pytest.mark.slow
+@pytest.mark.computes
 @pytest.mark.parametrize("loss", [0, 1], ids=["squares", "1-ncc"])
 @pytest.mark.parametrize("parameter", [3, 4, 5], ids=NAMES[3:])
 def test_sonar_and_vertex_gradients(derivatives, loss, parameter):
