@@ -148,7 +148,7 @@ def test_refine_yaw_is_its_first_case():
         "yaw",
         "x",
         "y",
-    ):  # two programs round differently: a thousandth of a degree, a fiftieth of a millimetre
+    ):  # two programs round differently: 2e-5 rad is a thousandth of a degree
         np.testing.assert_allclose(getattr(found.pose, name), getattr(alone, name), atol=2e-5)
     np.testing.assert_allclose(found.std[:, 0], alone.yaw_std, rtol=1e-3)
     for name in ("score", "start_score", "converged", "determined"):
