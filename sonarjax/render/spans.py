@@ -37,7 +37,7 @@ from sonarjax.scene.mesh import CREASE_ANGLE
 
 EMPTY_TAU = 1e-7  # an interval narrower than this counts as empty
 HORIZON = 1e-4  # least 1/planar range [1/m]: farther surfaces are put at 10 km
-FEW_FACETS = 8  # facets that a slice of a simple body shows at most: piles of three bricks show up to 7
+FEW_FACETS = 8  # facets that a slice of any body may tell apart: piles of three bricks seldom show more
 MOST_ITEMS = 12  # most spans of a kind that a slice keeps, where spans are not told apart by object
 BLOCK = 32  # longest axis that XLA reduces in one plain loop
 LONGEST_PRODUCT = 128  # intervals up to which a product of matrices counts faster than `cumsum`

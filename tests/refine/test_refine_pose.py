@@ -144,11 +144,8 @@ def test_refine_yaw_is_its_first_case():
     start = replace(poses, yaw=poses.yaw + 0.1, x=poses.x + 0.01)
     alone = sj.refine_yaw(images, MESH, SONAR, start)
     found = sj.refine_pose(images, MESH, SONAR, start)
-    for name in (
-        "yaw",
-        "x",
-        "y",
-    ):  # two programs round differently: 2e-5 rad is a thousandth of a degree
+    # Two programs round differently: 2e-5 rad is a thousandth of a degree.
+    for name in ("yaw", "x", "y"):
         np.testing.assert_allclose(getattr(found.pose, name), getattr(alone, name), atol=2e-5)
     np.testing.assert_allclose(found.std[:, 0], alone.yaw_std, rtol=1e-3)
     for name in ("score", "start_score", "converged", "determined"):
