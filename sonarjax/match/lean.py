@@ -100,7 +100,9 @@ class LeanSearch:
         index = int(np.argmin(np.abs(search.distances - math.hypot(*place))))
         entry = self._bank(index, mask is not None)
         small = None if mask is None else decimated(mask.astype(np.float32), step) == 1
-        found = match_positions(decimated(image, step), entry.prepared, small, min_valid=MIN_VALID, whole=True)
+        found = match_positions(
+            decimated(image, step), entry.prepared, small, min_valid=MIN_VALID, penalise_unmeasured=True
+        )
         scores, rows, columns = jax.device_get((found.scores, found.row, found.col))
         top, left = (int(v) for v in np.asarray(entry.bank.offset))
         turns = np.stack([_rotation(*attitude) for attitude in self.attitudes[:, [0, 2, 3]]])

@@ -26,7 +26,7 @@ MIN_VALID = 0.3
 """Least share of a template's pixels that must be measured under it; otherwise it scores 0."""
 
 MIN_ECHO = 0.5
-"""Least share of a template's highlight that must be measured, if the option `whole` is used."""
+"""Least share of a template's highlight that must be measured, if the option `penalise_unmeasured` is used."""
 
 
 class MaskedFrame(NamedTuple):
@@ -64,19 +64,19 @@ def masked_maps(
     planes: Complex[Array, "pair range beam"],
     squares: Complex[Array, "pair range beam"],
     echoes: Complex[Array, "pair range beam"],
-    whole: bool = False,
+    penalise_unmeasured: bool = False,
 ) -> Float[Array, "pair two row col"]:
     """Masked eq. 4 at all window positions, for pairs of unit templates (`planes`), their squares and their `echoes`.
 
-    With `whole`, a template's norm is taken over all of it, so that the part over unmeasured pixels counts as
-    unmatched. A template then also scores 0 unless the share MIN_ECHO of its highlight was measured: its shadow alone
-    is no match, because it would fit any dark corner at the edge of the measured pixels.
+    With `penalise_unmeasured`, a template's norm is taken over all of it, so that the part over unmeasured pixels
+    counts as unmatched. A template then also scores 0 unless the share MIN_ECHO of its highlight was measured: its
+    shadow alone is no match, because it would fit any dark corner at the edge of the measured pixels.
     """
     shape = (frame.mean.shape[0], frame.mean.shape[1])
     total = correlate(frame.valid, planes, shape)  # Σ T over measured pixels
     energy = correlate(frame.valid, squares, shape) - jnp.square(total) / frame.pixels
     product = correlate(frame.signal, planes, shape) - frame.mean * total
-    if not whole:
+    if not penalise_unmeasured:
         return product * frame.scale * inverse_root(energy, LOST_TEMPLATE)
     seen = (energy > LOST_TEMPLATE) & (correlate(frame.valid, echoes, shape) >= MIN_ECHO)
     return product * frame.scale * seen

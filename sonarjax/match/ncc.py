@@ -109,7 +109,7 @@ def match_positions(
     *,
     min_valid: float = MIN_VALID,
     template_mask: Bool[AnyArray, "yaw h w"] | None = None,
-    whole: bool = False,
+    penalise_unmeasured: bool = False,
 ) -> MatchPositions:
     """Return the scores of `match_bank`, and the window where each is reached (eq. 4).
 
@@ -119,9 +119,9 @@ def match_positions(
         mask: True for the pixels that count (range, beam); None for all.
         min_valid: As in `match_bank`.
         template_mask: True for the pixels of each template that count (yaw, h, w); None for all.
-        whole: Count the part of a template over pixels outside `mask` as unmatched, and require that half of its
-            highlight was measured. Then no template fits merely because most of it was not measured. This has no effect
-            without `mask`, or with `template_mask`.
+        penalise_unmeasured: Count the part of a template over pixels outside `mask` as unmatched, and require that half
+            of its highlight was measured. Then no template fits merely because most of it was not measured. This has no
+            effect without `mask`, or with `template_mask`.
 
     Returns:
         `scores` (yaw,) from -1 to 1, and the top-left corner of each best window: `row` (yaw,) and `col` (yaw,).
@@ -129,7 +129,7 @@ def match_positions(
     Raises:
         SonarjaxError: Shapes do not fit.
     """
-    return _match(image, bank, mask, template_mask, min_valid, best_position, whole)
+    return _match(image, bank, mask, template_mask, min_valid, best_position, penalise_unmeasured)
 
 
 def correlation_maps(
@@ -165,7 +165,7 @@ def _match(
     template_mask: Any,
     min_valid: float,
     reduce: Callable[..., Any],
-    whole: bool = False,
+    penalise_unmeasured: bool = False,
 ) -> Any:
     image, templates = jnp.asarray(image, jnp.float32), _templates(bank)
     shape = tuple(image.shape)
@@ -179,7 +179,7 @@ def _match(
         spectra = _spectra(templates, shape, mask is not None)
     if mask is None:
         return _match_plain(image, spectra, reduce)
-    return _match_masked(image, spectra, _as_mask("mask", mask, shape), min_valid, reduce, whole)
+    return _match_masked(image, spectra, _as_mask("mask", mask, shape), min_valid, reduce, penalise_unmeasured)
 
 
 def _templates(bank: Any) -> Array:
@@ -214,12 +214,12 @@ def _match_plain(image: Array, spectra: TemplateSpectra, reduce: Callable[..., A
 
 @partial(jax.jit, static_argnums=(4, 5))
 def _match_masked(
-    image: Array, spectra: TemplateSpectra, mask: Array, min_valid: Any, reduce: Callable, whole: bool
+    image: Array, spectra: TemplateSpectra, mask: Array, min_valid: Any, reduce: Callable, penalise_unmeasured: bool
 ) -> Any:
     frame = masked_frame(image, mask, spectra.template_shape, min_valid)
 
     def chunk(planes: tuple[Array, Array, Array]) -> Any:
-        return reduce(masked_maps(frame, *planes, whole))
+        return reduce(masked_maps(frame, *planes, penalise_unmeasured))
 
     return per_template(over_chunks(chunk, (spectra.planes, spectra.squares, spectra.echoes)), spectra.yaw_count)
 

@@ -247,7 +247,7 @@ class TargetSearch:
         if isinstance(entry.prepared, CompactBank) and mask is None:
             found = match_compact(image, entry.prepared)
         else:
-            found = match_positions(image, entry.prepared, mask, min_valid=MIN_VALID, whole=True)
+            found = match_positions(image, entry.prepared, mask, min_valid=MIN_VALID, penalise_unmeasured=True)
         scores, row, column = jax.device_get((found.scores, found.row, found.col))
         best = int(scores.argmax())
         top, left = (int(v) for v in np.asarray(entry.bank.offset))

@@ -128,24 +128,26 @@ def test_equals_a_loop_on_a_real_frame(
     np.testing.assert_allclose(maps[counted], expected[counted], atol=1e-4)
 
 
-def test_a_whole_template_cannot_hide_behind_the_mask():
-    """`whole` takes the template's norm over all of it: eq. 4 by hand, and never more than over the measured part."""
+def test_a_template_cannot_hide_behind_the_mask():
+    """The norm of all of the template: eq. 4 by hand, and never more than over the measured part."""
     rng = np.random.default_rng(5)
     image, template = rng.random((20, 12)).astype(np.float32), rng.random((1, 8, 6)).astype(np.float32)
     mask = rng.random(image.shape) < 0.7
-    part, whole = (match_positions(image, template, mask, whole=w) for w in (False, True))
-    row, col = int(whole.row[0]), int(whole.col[0])
+    part, penalised = (match_positions(image, template, mask, penalise_unmeasured=w) for w in (False, True))
+    row, col = int(penalised.row[0]), int(penalised.col[0])
     here = mask[row : row + 8, col : col + 6]
     seen, drawn = image[row : row + 8, col : col + 6][here], template[0][here]
     norm = np.linalg.norm(template[0] - template[0].mean())
     expected = ((seen - seen.mean()) * drawn).sum() / (np.linalg.norm(seen - seen.mean()) * norm)
-    assert float(whole.scores[0]) == pytest.approx(expected, abs=1e-4)
-    assert float(whole.scores[0]) < float(part.scores[0])
-    everywhere = [match_positions(image, template, np.ones_like(mask), whole=w).scores for w in (False, True)]
+    assert float(penalised.scores[0]) == pytest.approx(expected, abs=1e-4)
+    assert float(penalised.scores[0]) < float(part.scores[0])
+    everywhere = [
+        match_positions(image, template, np.ones_like(mask), penalise_unmeasured=w).scores for w in (False, True)
+    ]
     np.testing.assert_allclose(*everywhere, atol=1e-5)
 
 
-def test_a_shadow_alone_is_no_whole_match():
+def test_a_shadow_alone_is_no_match():
     """A dark corner whose object would lie outside the mask scores 0 although all that was measured fits exactly."""
     template = np.full((1, 12, 8), 0.5, np.float32)
     template[0, :3, 2:6], template[0, 3:, 2:6] = 1.0, 0.0  # an echo and its shadow behind it
@@ -154,9 +156,9 @@ def test_a_shadow_alone_is_no_whole_match():
     mask = np.ones(image.shape, bool)
     mask[:10] = False
     assert match_positions(image, template, mask).scores[0] > 0.9  # the measured part alone fits
-    found = match_positions(image, template, mask, whole=True)
+    found = match_positions(image, template, mask, penalise_unmeasured=True)
     assert int(found.row[0]) >= 9 and found.scores[0] < 0.6
     image[7:10, 6:10] = 1.0
     mask[:] = True
-    found = match_positions(image, template, mask, whole=True)
+    found = match_positions(image, template, mask, penalise_unmeasured=True)
     assert (int(found.row[0]), int(found.col[0])) == (7, 4) and found.scores[0] > 0.9
