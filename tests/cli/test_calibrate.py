@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import sys
 
 import numpy as np
 import pytest
 
 import sonarjax as sj
 from sonarjax.calibrate import Calibration, describe_calibration
+from sonarjax.io import SonarjaxError
 from sonarjax.sensor import SensorModel
 from sonarjax.sonar import GeometryStd
 
@@ -102,3 +104,16 @@ def test_what_is_known_of_the_geometry_survives_the_file(found, tmp_path):
     path.write_text(path.read_text().replace("height_m = 0.004", "hight_m = 0.004"))
     with pytest.raises(sj.SonarjaxError, match=r"\[geometry_std\]: unknown key 'hight_m'"):
         sj.Sonar.from_toml(path)
+
+
+def test_a_result_is_said_before_a_file_may_fail(command, place, tmp_path, found, monkeypatch):
+    """It took minutes to find."""
+
+    def full(*_):
+        raise SonarjaxError("fitted.toml: cannot be written: the disk is full")
+
+    monkeypatch.setattr(sys.modules["sonarjax.calibrate"], "calibrate", lambda *_, **__: found)
+    monkeypatch.setattr(sj.Sonar, "to_toml", full)
+    code, said, err = command(*arguments(place, *[place / "a.npz"] * len(found.used), out=tmp_path / "fitted.toml"))
+    assert code == 2 and "the disk is full" in err
+    assert "tilt" in said and "height" in said
