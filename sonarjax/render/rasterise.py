@@ -38,7 +38,14 @@ def covered(
 def covered_by_two(
     first: tuple[Array, Array, Array], second: tuple[Array, Array, Array], beams: Float[Array, "beam slab"], rows: int
 ) -> tuple[Float[Array, "range beam"], Float[Array, "range beam"]]:
-    """As `covered` for two lists of items, each `(middle, half, present)`: one pass over the range bins for both."""
+    """As `covered`, for two lists of items: the share (`rows`, beam) that each covers, in one pass over the range bins.
+
+    Args:
+        first: Middle and half (slab, 2, item) [bins] and presence (slab, item) of the first list, as in `covered`.
+        second: The same of the second list, which may have another number of items.
+        beams: Share of each beam that a slab fills (beam, slab).
+        rows: Number of range bins.
+    """
     middle, half = (jnp.concatenate([a, b], axis=-1) for a, b in zip(first[:2], second[:2], strict=True))
     present = [items[2][..., None].astype(jnp.float32) for items in (first, second)]
     apart = [jnp.pad(items, ((0, 0), (0, 0), (n, 1 - n))) for n, items in enumerate(present)]
