@@ -39,6 +39,7 @@ from sonarjax.refine import (
     refine_starts,
     refine_yaw,
 )
+from sonarjax.refine.free import wrapped
 from sonarjax.render import WindowSize
 from sonarjax.scene import Mesh, Pose
 from sonarjax.segment import DEFAULT_SEGMENTER, IdentificationRule, Segmenter, load_segmenter
@@ -86,7 +87,8 @@ class Recognizer:
             sonar: The sonar that takes the frames.
             segmenter: One of `SEGMENTERS`, a weights file, or a loaded `Segmenter`.
             search: How templates are matched.
-            refine: How yaw is refined; None stops at the yaw bin. Its bounds are widened to a bin's width.
+            refine: How yaw is refined on the map; None stops at the yaw bin. Its bounds are widened to a bin's width.
+                On the frame, `on_frame` changes blurs and template and allows more iterations.
             engine: Runs compiled functions: `sonarjax.cpu.CpuEngine()` on a CPU.
 
         Raises:
@@ -94,6 +96,7 @@ class Recognizer:
                 in view or too many are, or a mesh is larger than the sonar's maximum range.
         """
         check_kind(sonar, Sonar, "sonar")
+        check_kind(search, SearchConfig, "search")
         if refine is not None and not isinstance(refine, RefineConfig):
             raise SonarjaxError(f"refine: expected a RefineConfig, or None for no refinement, got {refine!r}")
         named = _named(targets)
@@ -137,6 +140,8 @@ class Recognizer:
                 a threshold is needed or no number, or a start is no pose.
         """
         starts = listed(starts, Pose, "starts")
+        if any(start.shape != () for start in starts):
+            raise SonarjaxError("starts: expected single poses, got a batch of them in one Pose")
         image, mask = checked_image(image, mask, self.sonar)
         given = None if semantic is None else checked_image(semantic, mask, self.sonar, "semantic")[0]
         least = self._threshold(threshold, given is not None)
@@ -429,4 +434,4 @@ def _distinct(hypotheses: list[Hypothesis]) -> tuple[Hypothesis, ...]:
 
 
 def _wrap(angle: Any) -> float:
-    return float(np.mod(angle, 2 * math.pi))
+    return float(wrapped(np.float32(angle)))

@@ -364,6 +364,10 @@ def test_gradient_of_a_refined_yaw_is_how_the_yaw_moves() -> None:
     here = yaw(0.0)
     assert bool(here.determined)
     found = float(jax.grad(lambda share: yaw(share).yaw)(0.0))
+    by_start = jax.grad(
+        lambda start: sj.refine_yaw(image, BRICK, SONAR, start, config=config, window=WHOLE).yaw, allow_int=True
+    )(truth)
+    assert not any(np.asarray(v).any() for v in jax.tree.leaves(by_start))  # a minimum does not depend on it
     wanted = (float(yaw(0.2).yaw) - float(yaw(-0.2).yaw)) / 0.4
     print(f"\nimplicit {found:.4f}, differences {wanted:.4f}")
     assert found == pytest.approx(wanted, rel=0.25)

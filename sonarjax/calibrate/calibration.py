@@ -21,6 +21,7 @@ from sonarjax.calibrate.solver import Fit
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.match import SearchConfig
+from sonarjax.refine.free import wrapped
 from sonarjax.scene import Mesh, Pose
 from sonarjax.segment import DEFAULT_SEGMENTER, Segmenter, load_segmenter
 from sonarjax.sensor import SensorModel
@@ -233,7 +234,7 @@ def _as_calibration(
     return Calibration(
         sonar=sonar.replace(**numbers, geometry_std=replace(stated, **std)),
         sensor=sensor_of(look),
-        poses=Pose(x, y, np.mod(yaw, 2 * math.pi), poses.z, poses.roll, poses.pitch),
+        poses=Pose(x, y, wrapped(yaw.astype(np.float32)), poses.z, poses.roll, poses.pitch),
         free=job.free,
         change=change,
         covariance=known.covariance,

@@ -21,7 +21,7 @@ from sonarjax.io.errors import OutOfViewError, SonarjaxError
 from sonarjax.match.compact import CompactBank, centred_on_host, window_scale
 from sonarjax.match.low_rank import Factors, combined, factors
 from sonarjax.match.ncc import MatchPositions
-from sonarjax.match.search import NOT_SEEN, SearchConfig, TargetSearch, decimated
+from sonarjax.match.search import NOT_SEEN, SearchConfig, TargetSearch, decimated, mid_fan
 from sonarjax.match.spectra import correlate, frame_spectrum, over_chunks, pack
 from sonarjax.render import WindowSize, template_bank
 
@@ -242,8 +242,9 @@ class FirstLook:
         step, count = self.config.decimation, min(self.config.yaw_bins, YAWS)
         yaws = np.arange(count) * (2 * math.pi / count)
         try:
+            x, y = mid_fan(self.sonar, distance)
             bank = template_bank(
-                search.mesh, self.sonar, yaws, x=distance, size=search.size, quality=self.config.quality,
+                search.mesh, self.sonar, yaws, x=x, y=y, size=search.size, quality=self.config.quality,
                 engine=self.engine,
             )  # fmt: skip
         except OutOfViewError:

@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.match.ncc import PreparedBank, match_positions, prepare_bank
-from sonarjax.match.search import MIN_VALID, Match, TargetSearch, decimated, rounded_up
+from sonarjax.match.search import MIN_VALID, Match, TargetSearch, coarse_of, decimated, mid_fan, rounded_up
 from sonarjax.render import TemplateBank, WindowSize, template_bank
 from sonarjax.scene import Mesh, Pose
 
@@ -62,6 +62,7 @@ class _Bank(NamedTuple):
 
     bank: TemplateBank
     prepared: PreparedBank
+    added: tuple[int, int]  # rows and columns of background before the templates
 
 
 class LeanSearch:
@@ -74,7 +75,7 @@ class LeanSearch:
 
         Args:
             search: The search that finds the target's place.
-            free: Names of the numbers to try, from z, roll and pitch.
+            free: Free numbers; of these z, roll and pitch are tried at several values.
             config: Which poses are tried.
         """
         self.search, self.config = search, config
@@ -109,11 +110,12 @@ class LeanSearch:
         kept = distinct_turns(turns, scores, self.config.apart, self.config.candidates)
         poses = []
         for k in kept:
-            match = Match(entry.bank, scores, step * int(rows[k]) - top, int(columns[k]) - left)
+            row, column = int(rows[k]) + entry.added[0], int(columns[k]) + entry.added[1]
+            match = Match(entry.bank, scores, step * row - top, column - left)
             x, y = search.place(match)
             yaw, z, roll, pitch = self.attitudes[k]
             # A bank's aspect is relative to the bearing at which it was rendered.
-            poses.append((x, y, yaw + math.atan2(y, x), z, roll, pitch))
+            poses.append((x, y, yaw + math.atan2(y, x) - float(entry.bank.bearing), z, roll, pitch))
         return LeanMatch(Pose(*np.asarray(poses, np.float32).T), np.asarray(scores)[kept])
 
     def _bank(self, index: int, masked: bool) -> _Bank:
@@ -121,13 +123,14 @@ class LeanSearch:
         if (index, masked) not in self._banks:
             search, step = self.search, self.search.config.decimation
             yaws, z, roll, pitch = self.attitudes.T
+            x, y = mid_fan(search.sonar, float(search.distances[index]))
             bank = template_bank(
-                search.mesh, search.sonar, yaws, x=float(search.distances[index]), z=z, roll=roll, pitch=pitch,
+                search.mesh, search.sonar, yaws, x=x, y=y, z=z, roll=roll, pitch=pitch,
                 size=self._window(), quality=search.config.quality, engine=search.engine,
             )  # fmt: skip
             frame = search.sonar.n_ranges // step, search.sonar.n_beams
-            templates = rounded_up(decimated(np.asarray(bank.templates), step), frame)
-            self._banks[index, masked] = _Bank(bank, prepare_bank(templates, frame, masked=masked))
+            templates, added = rounded_up(*coarse_of(bank, step), frame)
+            self._banks[index, masked] = _Bank(bank, prepare_bank(templates, frame, masked=masked), added)
         return self._banks[index, masked]
 
     def _window(self) -> WindowSize:

@@ -72,7 +72,8 @@ class PoseFinder:
         Args:
             mesh: The target.
             sonar: The sonar.
-            free: Numbers of the pose that may differ from 0. The banks vary those of z, roll and pitch among them.
+            free: Numbers that refinement may change. Yaw, x and y are always searched, z, roll and pitch only if they
+                are free.
             segmenter: The segmenter, or its name.
             search: How the place is searched for.
             lean: Which leaning poses are tried.
@@ -85,6 +86,8 @@ class PoseFinder:
         """
         check_kind(mesh, Mesh, "mesh")
         check_kind(sonar, Sonar, "sonar")
+        for name, config, kind in (("search", search, SearchConfig), ("lean", lean, LeanSearchConfig)):
+            check_kind(config, kind, name)
         self.free, self.refine, self.engine = check_free(free), refine, engine
         self.error_bar = error_bar
         self.sonar = sonar.replace(geometry_std=None)

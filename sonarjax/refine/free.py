@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import numpy as np
 from jaxtyping import Array, Float
 
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.given import shown
 from sonarjax.scene import Pose
 
 
@@ -53,6 +55,8 @@ def in_order(free: Sequence[str], known: Iterable[str]) -> tuple[str, ...]:
     Raises:
         SonarjaxError: There are none, or a name is unknown or given twice.
     """
+    if not isinstance(free, Iterable):
+        raise SonarjaxError(f"free: expected names, got {shown(free)}")
     names, order = [free] if isinstance(free, str) else list(free), list(known)
     unknown = [name for name in names if name not in order]
     if unknown or not names or len(set(names)) < len(names):
@@ -69,6 +73,13 @@ def trusts(free: Sequence[str]) -> tuple[float, ...]:
 def displacements(free: Sequence[str]) -> tuple[float, ...]:
     """Displacements of central differences by each `free` number, and by the bounces' energies."""
     return *(NUMBERS[name].displacement for name in free), *(bounce.displacement for bounce in BOUNCES)
+
+
+def wrapped(yaw: Any) -> Any:
+    """Yaws [rad], NumPy's or JAX's in float32, in [0, 2π)."""
+    once = np.float32(2 * np.pi)
+    turned = yaw % once
+    return turned * (turned < once)  # a tiny negative yaw is rounded up to 2π
 
 
 def pose_at(start: Pose, step: Float[Array, "step"], free: Sequence[str]) -> Pose:

@@ -19,7 +19,7 @@ from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.given import check_kind, image_array, number_array
 from sonarjax.records import record, static
 from sonarjax.refine.config import SLACK_M, RefineConfig
-from sonarjax.refine.free import BOUNCES, ON_FLOOR, check_free, displacements, pose_at, trusts
+from sonarjax.refine.free import BOUNCES, ON_FLOOR, check_free, displacements, pose_at, trusts, wrapped
 from sonarjax.refine.implicit import attach, hessian, is_minimum, without_gradient
 from sonarjax.refine.objective import Problem, crop_score, make_blur
 from sonarjax.refine.solver import INSIDE, SETTLED_SHARE, STATIONARY_SHARE, Search, Solution, begun, coarse_to_fine
@@ -30,12 +30,13 @@ from sonarjax.render import RenderQuality, WindowSize, place_window, plan_window
 from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS, leaning_room
 from sonarjax.render.simulate import one_by_one
 from sonarjax.scene import Mesh, Pose
+from sonarjax.scene.limits import check_pose
 from sonarjax.sonar import Sonar
 
 
 @record
 class PoseEstimate:
-    """A refined pose. Every field has the batch shape of the starts, and none is ever NaN."""
+    """A refined pose. Every field has the batch shape of the starts, and none is ever NaN if the start is finite."""
 
     pose: Pose
     """All six numbers [m, rad]; yaw in [0, 2π). Numbers that are not free, or not observable, are those of the
@@ -146,17 +147,17 @@ def _refine_views(
     """`refine_pose` for several views."""
     if is_traced(images, mask, mesh, sonar, start, sonar_poses):
         raise SonarjaxError("sonar_poses: expected no traced values, because views are refined on the host")
-    _check_kinds(mesh, sonar, start)
-    check_kind(sonar_poses, Pose, "sonar_poses")
+    _check_kinds(mesh, sonar, start, config)
     images = np.asarray(image_array(images, "image"), np.float32)
     sonars = check_views(images, sonar_poses, start, sonar)
     weights = np.asarray(np.ones(images.shape) if mask is None else number_array(mask, "mask"), np.float32)
     if weights.shape != images.shape:
         raise SonarjaxError(f"mask: expected the images' shape {images.shape}, got {weights.shape}")
+    images = np.where(weights > 0, images, np.float32(0))  # what was not measured may be NaN
     starts = jax.tree.map(lambda v: np.atleast_1d(np.asarray(v)), start)
     places = [in_view(starts, one) for one in sonars]
     around = jax.tree.map(lambda *v: np.concatenate(v), *places)
-    size = window or plan_refinement(mesh, sonar, around, config, free)
+    size = _window_within(sonar, window) or plan_refinement(mesh, sonar, around, config, free)
     job = Job(images, weights, mesh, sonar, sonars, free, config, size, engine)
     found = [refine_jointly(job, Pose(**{n: v[k] for n, v in vars(starts).items()})) for k in range(len(starts.x))]
 
@@ -167,7 +168,7 @@ def _refine_views(
     pose = jax.tree.map(lambda *v: stacked(v), *(one.pose for one in found))
     fields = ("covariance", "score", "start_score", "converged", "observable", "singular_values")
     numbers = {name: stacked([getattr(one, name) for one in found]) for name in fields}
-    turned = replace(pose, yaw=jax.device_put(np.mod(np.asarray(pose.yaw), np.float32(2 * math.pi))))
+    turned = replace(pose, yaw=jax.device_put(wrapped(np.asarray(pose.yaw))))
     nothing = stacked([np.bool_(False)] * len(found))
     return PoseEstimate(turned, determined=nothing, free=free, **numbers)
 
@@ -181,7 +182,7 @@ def search_pose(
     `hold` puts back numbers that the frame does not determine. Without it this is not checked, and nothing counts as
     observable.
     """
-    _check_kinds(mesh, sonar, start)
+    _check_kinds(mesh, sonar, start, config)
     traced = is_traced(image, mask, mesh, sonar, start)
     array = jnp if traced else np  # NumPy slices and joins on the host without compiling anything
     image = array.asarray(image if traced else image_array(image, "image"), np.float32)
@@ -191,10 +192,11 @@ def search_pose(
     weight = array.asarray(mask if traced else number_array(mask, "mask"), np.float32)
     if weight.shape != image.shape:
         raise SonarjaxError(f"mask: expected the image's shape {image.shape}, got {weight.shape}")
+    image = array.where(weight > 0, image, np.float32(0))  # what was not measured may be NaN
     frames, axes = image.ndim - 2, start.shape
     if len(axes) not in (frames, frames + 1) or axes[:frames] != image.shape[:frames]:
         raise SonarjaxError(f"start: expected one pose (or one axis of poses) for each image, got shape {axes}")
-    size = window or plan_refinement(mesh, sonar, start, config, free)
+    size = _window_within(sonar, window) or plan_refinement(mesh, sonar, start, config, free)
     # Flatten frames and starts to one list.
     starts = jax.tree.map(lambda v: array.asarray(v).reshape(-1), start)
     count = math.prod(axes)
@@ -216,11 +218,27 @@ def search_pose(
     return jax.tree.map(lambda *v: jax.device_put(np.stack(v).reshape((*axes, *v[0].shape))), *found)
 
 
-def _check_kinds(mesh: Any, sonar: Any, start: Any) -> None:
-    """Raise a SonarjaxError where one of them is something else, such as a tuple in place of a pose."""
+def _check_kinds(mesh: Any, sonar: Any, start: Any, config: Any) -> None:
+    """Raise a SonarjaxError where one of them is something else, where the start is none or not finite, and where mesh
+    or sonar are several.
+    """
     check_kind(mesh, Mesh, "mesh")
     check_kind(sonar, Sonar, "sonar")
     check_kind(start, Pose, "start")
+    check_kind(config, RefineConfig, "config")
+    check_pose(start)
+    if 0 in start.shape:
+        raise SonarjaxError(f"start: expected at least one pose, got shape {start.shape}")
+    for name, number in (("mesh", mesh.radius), ("sonar", sonar.tilt)):
+        if np.ndim(number):
+            raise SonarjaxError(f"{name}: expected a single one, got a batch of shape {np.shape(number)}: use jax.vmap")
+
+
+def _window_within(sonar: Sonar, window: WindowSize | None) -> WindowSize | None:
+    """The window. Raises a SonarjaxError if it is larger than the frame."""
+    if window is not None and any(n > most for n, most in zip(window.shape, sonar.shape, strict=True)):
+        raise SonarjaxError(f"window: expected at most the frame's {sonar.shape} pixels, got {window.shape}")
+    return window
 
 
 def prepare_refinement(
@@ -275,7 +293,7 @@ def plan_refinement(
     Raises:
         SonarjaxError: An argument is of another kind.
     """
-    _check_kinds(mesh, sonar, start)
+    _check_kinds(mesh, sonar, start, config)
     if is_traced(start, sonar, mesh):
         return WindowSize(sonar.shape, sonar.n_beams)
     bounds = [config.bound(name) if name in free else 0.0 for name in ("z", "roll", "pitch")]
@@ -337,6 +355,7 @@ def _refine(
     most = [search.bounds[1][free.index(name)] if name in free else 0.0 for name in ("z", "roll", "pitch")]
     window = without_gradient(place_window(size, _room(mesh, start, *most), sonar, start.x, start.y, SLACK_M))
     part, measured = (jax.lax.dynamic_slice(v, (window.row, window.column), size.shape) for v in (image, weight))
+    start = without_gradient(start)  # a minimum does not depend on it
     subject = Subject(mesh, sonar, start, window, sharpness, views, nominal_law(), quality, free)
     problem = Problem(part, measured, subject, margin)
     fixed = without_gradient(problem)
@@ -358,9 +377,9 @@ def _refine(
         settled = converged & (left[:count].max() < STATIONARY_SHARE)
         determined = settled & is_minimum(curvature, movable, jnp.asarray(displacements(free)))
         step = attach(step, fitted, blur, curvature, movable, determined)
-    pose = pose_at(without_gradient(start), step, free)
+    pose = pose_at(start, step, free)
     estimate = PoseEstimate(
-        pose=replace(pose, yaw=pose.yaw % (2 * jnp.pi)),
+        pose=replace(pose, yaw=wrapped(pose.yaw)),
         covariance=covariance[:count, :count],
         score=jnp.nan_to_num(score),
         start_score=jnp.nan_to_num(solution.start_score),

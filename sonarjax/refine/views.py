@@ -20,6 +20,7 @@ from jaxtyping import Array, Float
 from sonarjax.engine import Engine
 from sonarjax.exact import full_precision
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.given import check_kind
 from sonarjax.refine.config import SLACK_M, RefineConfig
 from sonarjax.refine.free import ALL, BOUNCES, trusts
 from sonarjax.refine.objective import ROW_STRIDE, Problem, box_around, crop_score, make_blur, normalised
@@ -251,6 +252,7 @@ def _evaluator(job: Job, start: Pose) -> Callable[[np.ndarray, float], _Sum]:
     fixed: list[Any] = [(np.zeros(job.size.shape, np.float32), np.int32(VIEWS[config.template]), law)] * len(places)
     margin = np.full(2, 1 << 20, np.int32) if config.margin is None else np.array(config.margin, np.int32)
     fresh = [True] * len(places)
+    shows = [True] * len(places)  # a view in which the start is out of sight says nothing
 
     def evaluate(point: np.ndarray, sigma: float) -> _Sum:
         pose = _moved(start, job.free, point)
@@ -262,21 +264,26 @@ def _evaluator(job: Job, start: Pose) -> Callable[[np.ndarray, float], _Sum]:
                 np.float32(config.sharpness), margin, fixed[k], np.bool_(fresh[k]), size=job.size,
                 quality=config.quality,
             )  # fmt: skip
+            view = View(*(np.asarray(v, float) for v in numbers))
             if fresh[k]:
                 fixed[k], fresh[k] = jax.tree.map(np.asarray, kept), False
-            return View(*(np.asarray(v, float) for v in numbers))
+                shows[k] = bool(np.isfinite(view.cost))
+            return view
 
-        return _summed(job.engine.map(one, range(len(places))), job.free, job.sonar_poses)
+        parts = job.engine.map(one, range(len(places)))
+        return _summed(parts, job.free, job.sonar_poses, shows if any(shows) else [True] * len(shows))
 
     return evaluate
 
 
-def _summed(parts: Sequence[View], free: tuple[str, ...], sonar_poses: np.ndarray) -> _Sum:
+def _summed(parts: Sequence[View], free: tuple[str, ...], sonar_poses: np.ndarray, shows: Sequence[bool]) -> _Sum:
+    """The sum over the views that show something; the others still have bounces of their own."""
     count, views = len(free), len(parts)
     size = count + len(BOUNCES) * views
     hessian, information, noise = (np.zeros((size, size)) for _ in range(3))
     gradient = np.zeros(size)
-    for k, part in enumerate(parts):
+    for k in np.flatnonzero(shows).tolist():
+        part = parts[k]
         across = np.zeros((len(ALL) + len(BOUNCES), size))
         across[: len(ALL), :count] = turned(sonar_poses[k, 2])[:, [ALL.index(name) for name in free]]
         across[len(ALL) :, count + len(BOUNCES) * k : count + len(BOUNCES) * (k + 1)] = np.eye(len(BOUNCES))
@@ -284,7 +291,8 @@ def _summed(parts: Sequence[View], free: tuple[str, ...], sonar_poses: np.ndarra
         for total, mine in ((hessian, part.hessian), (information, part.information), (noise, part.noise)):
             total += across.T @ mine @ across
     normal = Normal(jnp.asarray(information, jnp.float32), jnp.asarray(noise, jnp.float32))
-    cost, score = float(sum(part.cost for part in parts)), float(np.mean([part.score for part in parts]))
+    seen = [part for part, used in zip(parts, shows, strict=True) if used]
+    cost, score = float(sum(part.cost for part in seen)), float(np.mean([part.score for part in seen]))
     return _Sum(hessian, gradient, cost if np.isfinite(cost) else np.inf, score, normal)
 
 
@@ -353,12 +361,18 @@ def check_views(images: Any, sonar_poses: Pose, start: Pose, sonar: Sonar) -> np
     Raises:
         SonarjaxError: Images, poses or start do not fit together.
     """
+    check_kind(sonar_poses, Pose, "sonar_poses")
     if np.ndim(images) != 3 or np.shape(images)[-2:] != sonar.shape:
         raise SonarjaxError(f"image: expected shape (view, {sonar.n_ranges}, {sonar.n_beams}), got {np.shape(images)}")
     if sonar_poses.shape != np.shape(images)[:1]:
         raise SonarjaxError(f"sonar_poses: expected one pose for each of {len(images)} views, got {sonar_poses.shape}")
-    if any(np.asarray(getattr(sonar_poses, name)).any() for name in ("z", "roll", "pitch")):
-        raise SonarjaxError("sonar_poses: expected z, roll and pitch of 0: the sonar itself has height, tilt and roll")
+    check_level(sonar_poses, "sonar_poses")
     if len(start.shape) > 1:
         raise SonarjaxError(f"start: expected one pose or one axis of poses for all views, got shape {start.shape}")
     return np.stack([np.asarray(v, float) for v in (sonar_poses.x, sonar_poses.y, sonar_poses.yaw)], axis=1)
+
+
+def check_level(sonar_poses: Pose, name: str) -> None:
+    """Raise a SonarjaxError if a sonar's pose is lifted or leans."""
+    if any(np.asarray(getattr(sonar_poses, number)).any() for number in ("z", "roll", "pitch")):
+        raise SonarjaxError(f"{name}: expected z, roll and pitch of 0: the sonar itself has height, tilt and roll")

@@ -19,7 +19,7 @@ from sonarjax.sonar import Sonar
 
 @record
 class YawEstimate:
-    """A refined hypothesis. Every field has the batch shape of the starts, and none is ever NaN."""
+    """A refined hypothesis. Every field has the batch shape of the starts; none is ever NaN if the start is finite."""
 
     yaw: Float[Array, "*batch"]
     """Absolute yaw [rad], in [0, 2π)."""
@@ -46,7 +46,7 @@ class YawEstimate:
 
     @property
     def pose(self) -> Pose:
-        """The estimate as a `Pose` [m, rad] on the floor: z, roll and pitch are 0, whatever the start had."""
+        """The estimate as a `Pose` [m, rad] with z, roll and pitch of 0. Refinement itself keeps those of the start."""
         return Pose(self.x, self.y, self.yaw)
 
 
@@ -67,7 +67,7 @@ def refine_yaw(
     determine is not put back to its start. Yaw, x and y have derivatives, as the pose of `refine_pose` has.
 
     Args:
-        image: The frame (range, beam), with batch axes as in `refine_pose`.
+        image: Semantic map or frame (range, beam), with batch axes as in `refine_pose`.
         mesh: The object.
         sonar: The sonar.
         start: Where to start [m, rad], as in `refine_pose`.

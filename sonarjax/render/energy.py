@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from sonarjax.render.platform import platform_span
 from sonarjax.render.segments import plane_line
 from sonarjax.render.slabs import Slabs
 from sonarjax.render.spans import Ends, Scene, corners_of, floor_line, interval_range, reach_of, trace_tau
@@ -136,8 +137,8 @@ def _spread(energy: Array, near: Array, far: Array, edges: Float[Array, "edge"])
 def floor_energy(
     azimuth: Float[Array, "beam"], scene: Scene, sonar: Sonar, edges: Float[Array, "edge"]
 ) -> Float[Array, "range beam"]:
-    """Energy [rad/m²] of the bare floor in each range bin: the elevations that see it between two range `edges` (edge,)
-    [m].
+    """Energy [rad/m²] of the bare floor, or of the platform, in each range bin: the elevations that see it between two
+    range `edges` (edge,) [m].
 
     Exact in elevation: for a line at distance d from the sonar head, the point at range r is seen acos(d/r) away from
     the perpendicular.
@@ -145,6 +146,9 @@ def floor_energy(
     a, b = floor_line(azimuth, scene.view)
     distance = 1 / jnp.sqrt(a * a + b * b)
     low, high = _floor_span(a, b, scene)
+    if sonar.floor is not None:
+        start, stop = (bound[:, 0] for bound in platform_span(azimuth, scene, sonar))
+        low, high = jnp.maximum(low, start), jnp.minimum(high, stop)
     bounds = jnp.clip(edges[:, None], low, high)
     ratio = jnp.clip(distance / bounds, 0.0, 1.0 - 1e-7)
     angle = jnp.diff(jnp.arccos(ratio), axis=0)

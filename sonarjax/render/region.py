@@ -145,13 +145,15 @@ def leaning_room(mesh: Mesh, lift: Any, roll: Any, pitch: Any) -> Mesh:
     Windows are sized by radius and top; the vertices stay as they are. For an upright object on the floor both are
     unchanged. Nothing is compiled unless a number is traced.
     """
-    traced = any(isinstance(v, jax.core.Tracer) for v in (mesh.radius, mesh.top, lift, roll, pitch))
+    given = mesh.vertices, mesh.radius, mesh.top, lift, roll, pitch
+    traced = any(isinstance(v, jax.core.Tracer) for v in given)
     array: Any = jnp if traced else np
-    radius, top = (v if traced else np.asarray(v) for v in (mesh.radius, mesh.top))
+    vertices, radius, top = (v if traced else np.asarray(v) for v in given[:3])
     # Roll and pitch together tilt the vertical of the mesh by arccos(cos roll · cos pitch).
     upright = array.cos(array.clip(roll, 0.0, math.pi / 2)) * array.cos(array.clip(pitch, 0.0, math.pi / 2))
     over = array.sqrt(array.maximum(1 - upright**2, 0.0))
-    extent = radius + array.maximum(top, 0.0) * over, top + radius * over + array.maximum(lift, 0.0)
+    arm = array.maximum(array.maximum(top, 0.0), -vertices[..., 2].min(axis=-1))  # the farther end swings aside
+    extent = radius + arm * over, top + radius * over + array.maximum(lift, 0.0)
     # `device_put` compiles nothing, unlike `jnp.asarray`.
     wide, high = (v if traced else jax.device_put(np.asarray(v, np.float32)) for v in extent)
     return replace(mesh, radius=wide, top=high)

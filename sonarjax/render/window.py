@@ -234,7 +234,7 @@ def _frame_of(seen: _Seen, shares: tuple[Array, Array], echo: Array, window: Win
     (highlight, shadow), scene, sonar, edges = shares, seen.scene, seen.sonar, seen.edges
     azimuth = _columns(jnp.asarray(sonar.azimuth), window.column, window.shape[1])
     floor = platform_lit(azimuth, scene, sonar, edges)
-    bare = floor_energy(azimuth, scene, sonar, edges) * floor
+    bare = floor_energy(azimuth, scene, sonar, edges)
     lit = (floor_lit(azimuth, scene, edges) & floor) | (highlight > 0.5)
     intensity = jnp.maximum(echo, 0.0) + bare * jnp.maximum(1 - shadow, 0.0)
     return SonarFrame(intensity, highlight, shadow, lit, seen.visible.overflow, sonar)

@@ -16,6 +16,7 @@ from sonarjax.io.given import check_kind, image_array, is_number, number_array, 
 from sonarjax.recognition import Recognition
 from sonarjax.recognize import Recognizer
 from sonarjax.refine import in_view
+from sonarjax.refine.views import check_level
 from sonarjax.scene import Pose
 from sonarjax.track.belief import Belief, next_belief, nothing_known, numbers_of, predicted
 from sonarjax.track.measurement import Mode, each_of, measurement_of, modes_of
@@ -296,7 +297,7 @@ def _checked(
     for k, image in enumerate(images):
         if image.shape != images[0].shape:
             raise SonarjaxError(f"frames[{k}]: expected shape {images[0].shape} as in frame 0, got {image.shape}")
-    masked = [None] * len(images) if masks is None else list(masks)
+    masked = [None] * len(images) if masks is None else _several(masks, "masks")
     poses = _poses(sonar_poses, len(images))
     if len(masked) != len(images):
         raise SonarjaxError(f"masks: expected one for each of {len(images)} frames, got {len(masked)}")
@@ -316,13 +317,24 @@ def _poses(given: Any, count: int) -> list[Pose | None]:
         if given.shape != (count,):
             raise SonarjaxError(f"sonar_poses: expected one for each of {count} frames, got shape {given.shape}")
         return [jax.tree.map(lambda v, k=k: v[k], given) for k in range(count)]
-    if len(given) != count:
-        raise SonarjaxError(f"sonar_poses: expected one for each of {count} frames, got {len(given)}")
-    return list(given)
+    poses = _several(given, "sonar_poses")
+    if len(poses) != count:
+        raise SonarjaxError(f"sonar_poses: expected one for each of {count} frames, got {len(poses)}")
+    return poses
+
+
+def _several(values: Any, name: str) -> list[Any]:
+    if not isinstance(values, Iterable):
+        raise SonarjaxError(f"{name}: expected one for each frame, got {shown(values)}")
+    return list(values)
 
 
 def _sonar_numbers(pose: Pose | None) -> np.ndarray:
-    """x, y [m] and yaw [rad] (3,) of the sonar. Raises SonarjaxError unless it is a single pose of finite numbers."""
+    """x, y [m] and yaw [rad] (3,) of the sonar.
+
+    Raises:
+        SonarjaxError: It is no single pose of finite numbers, or it leans or is lifted.
+    """
     if pose is None:
         return np.zeros(3, np.float32)
     if not isinstance(pose, Pose) or pose.shape != ():
@@ -330,6 +342,7 @@ def _sonar_numbers(pose: Pose | None) -> np.ndarray:
     at = np.array([pose.x, pose.y, pose.yaw], np.float32)
     if not np.isfinite(at).all():
         raise SonarjaxError(f"sonar_pose: expected finite x, y and yaw, got {at.tolist()}")
+    check_level(pose, "sonar_pose")
     return at
 
 

@@ -7,13 +7,15 @@ from collections.abc import Callable
 from types import ModuleType
 from typing import Any
 
+import numpy as np
 import pytest
 
 import sonarjax as sj
 from sonarjax.io.errors import OutOfViewError
 from sonarjax.match import first_look, search
 from sonarjax.match.first_look import FirstLook
-from sonarjax.match.search import TargetSearch
+from sonarjax.match.lean import LeanSearch, LeanSearchConfig
+from sonarjax.match.search import SearchConfig, TargetSearch
 
 SONAR = sj.Sonar.preset("didson-hf", tilt=math.radians(20.0))
 
@@ -45,6 +47,22 @@ def test_only_a_target_that_is_out_of_view_is_passed_over(
     monkeypatch.setattr(module, "template_bank", failing(sj.SonarjaxError("no room")))
     with pytest.raises(sj.SonarjaxError, match="no room"):
         look()
+
+
+def test_a_fan_to_one_side_is_searched_in_its_middle() -> None:
+    """The target is seen though the sonar has no beam straight ahead."""
+    azimuth = np.radians(np.linspace(8.0, 34.0, 24)).astype(np.float32)
+    sonar = sj.Sonar.preset("didson-hf", tilt=math.radians(20.0), azimuth=azimuth, n_ranges=128, range_max=3.5)
+    truth, mesh = sj.Pose(x=2.1, y=1.0, yaw=0.7), sj.objects.target()
+    image = np.asarray(sj.render(mesh, truth, sonar).semantic())
+    search = TargetSearch(mesh, sonar, SearchConfig(yaw_bins=12))
+    match = search.find(image)
+    assert math.dist(search.place(match), (2.1, 1.0)) < 0.05
+    bearing = math.atan2(1.0, 2.1) - float(match.bank.bearing)
+    yaw = float(match.bank.yaws[match.scores.argmax()]) + bearing
+    assert abs(math.remainder(yaw - 0.7, 2 * math.pi)) < math.radians(15.5)
+    lean = LeanSearch(search, ("yaw", "x", "y"), LeanSearchConfig(yaw_bins=12)).find(image)
+    assert abs(math.remainder(float(lean.poses.yaw[0]) - yaw, 2 * math.pi)) < 1e-3
 
 
 def test_a_bank_says_that_its_object_is_out_of_view() -> None:

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import sonarjax as sj
-from sonarjax.refine.free import ALL
+from sonarjax.refine.free import ALL, wrapped
 from sonarjax.refine.template import VIEWS, Subject, draw, layers_with_slope, nominal_law, paint_with_slope
 from sonarjax.render import Window
 from sonarjax.render.region import leaning_room
@@ -205,8 +205,18 @@ def test_room_for_a_leaning_object_holds_all_of_it(truth):
         placed = np.asarray(replace(pose, x=jnp.zeros(()), y=jnp.zeros(())).to_ground(MESH.vertices))
         assert np.hypot(placed[:, 0], placed[:, 1]).max() <= float(room.radius)
         assert placed[:, 2].max() <= float(room.top)
+    hung = MESH.with_vertices(np.asarray(MESH.vertices) - [0.0, 0.0, float(MESH.top)])  # its origin at the top
+    assert float(leaning_room(hung, MESH.top, 0.5, 0.0).radius) == float(leaning_room(MESH, 0.0, 0.5, 0.0).radius)
     flat = leaning_room(MESH, 0.0, 0.0, 0.0)
     assert float(flat.radius) == float(MESH.radius) and float(flat.top) == float(MESH.top)
+
+
+def test_yaws_are_wrapped_to_less_than_a_full_circle():
+    yaw = np.float32([-1e-8, -0.5, 0.0, 7.0, 2 * math.pi])
+    for array in (np, jnp):
+        found = np.asarray(wrapped(array.asarray(yaw)), float)
+        assert (found >= 0).all() and (found < 2 * math.pi).all()
+        np.testing.assert_allclose(np.sin(found), np.sin(yaw), atol=1e-6)
 
 
 @pytest.mark.parametrize("free", [(), ("yaw", "tilt"), ("x", "x"), "height"])

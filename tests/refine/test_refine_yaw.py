@@ -113,9 +113,11 @@ def test_what_is_masked_does_not_count(scene):
     mask[:, : images.shape[2] // 2 - 4] = False
     spoiled = np.where(mask, images[0], np.random.default_rng(0).random(mask.shape)).astype(np.float32)
     start = pick(near(poses, 2), 0)
-    clean, hidden = (refine(image, mesh, start, mask) for image in (images[0], spoiled))
-    np.testing.assert_allclose(clean.yaw, hidden.yaw, atol=1e-6)
-    np.testing.assert_allclose(clean.score, hidden.score, atol=1e-6)
+    clean = refine(images[0], mesh, start, mask)
+    for hidden in (spoiled, np.where(mask, spoiled, np.nan)):
+        found = refine(hidden, mesh, start, mask)
+        np.testing.assert_allclose(found.yaw, clean.yaw, atol=1e-6)
+        np.testing.assert_allclose(found.score, clean.score, atol=1e-6)
 
 
 def test_bounds_hold_and_are_reported(scene):

@@ -58,6 +58,13 @@ def test_two_views_give_the_pose_on_labels():
     assert np.asarray(both.converged).all() and np.asarray(both.observable).all()
     assert not np.asarray(both.determined).any()
     assert (np.asarray(both.score) > np.asarray(both.start_score)).all()
+    # A third sonar, which looks the other way, changes nothing.
+    away = sj.Pose(*np.vstack([SONARS, (0.0, 0.0, math.pi)]).T)
+    frames = np.concatenate([images, np.full((1, *SONAR.shape), 0.5, np.float32)])
+    three = sj.refine_pose(frames, MESH, SONAR, start, free=ALL, config=config, sonar_poses=away)
+    np.testing.assert_allclose(numbers(three.pose), numbers(both.pose), atol=1e-5)
+    np.testing.assert_allclose(three.std, both.std, rtol=1e-3)
+    assert np.asarray(three.converged).all()
     for k in range(2):
         pose = jax.tree.map(lambda v, k=k: v[k], both.pose)
         turn = np.asarray(pose.rotation()).T @ np.asarray(TRUTH.rotation())

@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -120,6 +121,7 @@ def test_floor_patch():
     bare = render(mesh, AWAY, sonar)
     endless = render(mesh, Pose(x=2.25, y=0.05), SONAR)
     inside, certain = np.zeros(sonar.shape, bool), np.zeros(sonar.shape, bool)
+    energy = np.zeros(sonar.n_beams)
     elevation = np.linspace(-APERTURE / 2, APERTURE / 2, 20001)
     for beam, azimuth in enumerate(np.asarray(sonar.azimuth, np.float64)):
         r = floor_range(sonar, azimuth, elevation)
@@ -130,10 +132,13 @@ def test_floor_patch():
         slack = np.minimum(patch.length / 2 - np.abs(along), patch.width / 2 - np.abs(across))
         at = np.interp(middles_of(sonar), r, slack, left=-1.0, right=-1.0)
         inside[:, beam], certain[:, beam] = at > 0, np.abs(at) > 1e-4
+        energy[beam] = np.trapezoid(np.where(slack > 0, 1 / r**2, 0.0), elevation)
     lit = np.asarray(bare.lit)
     assert inside.sum() > 1000
     np.testing.assert_array_equal(lit[certain], inside[certain])
-    assert (np.asarray(bare.intensity)[~lit] == 0).all()
+    assert (np.asarray(bare.intensity)[_eroded(~lit, 1, 0)] == 0).all()
+    # Range bins that the edge cuts have their share of the energy.
+    np.testing.assert_allclose(np.asarray(bare.intensity).sum(0), energy, rtol=2e-3, atol=1e-5)
     # The object is as bright as on an endless floor, and its shadow ends with the platform.
     # A difference of 1e-4 is a few units in the last place of an end [bins].
     np.testing.assert_allclose(frame.highlight, endless.highlight, atol=1e-4)
@@ -142,6 +147,17 @@ def test_floor_patch():
     deep, off = _eroded(inside), _eroded(~inside)
     np.testing.assert_allclose(shadow[deep], whole[deep], atol=3e-3)  # 15 µm of range: float32
     assert shadow[off].max() < 1e-3  # an end that sweeps over the platform's edge inside one slab
+
+
+def test_energy_of_a_platform_has_a_derivative_by_its_length():
+    def energy(length):
+        patch = FloorPatch(x=2.2, y=0.05, length=length, width=0.3, yaw=0.2)
+        return render(box((0.1, 0.1, 0.1)), AWAY, SONAR.replace(floor=patch)).intensity.sum()
+
+    values = np.array([float(energy(jnp.float32(length))) for length in (0.58, 0.6, 0.62)])
+    slope = float(jax.grad(energy)(jnp.float32(0.6)))
+    assert slope == pytest.approx((values[2] - values[0]) / 0.04, rel=0.05)
+    assert values[1] == pytest.approx((values[0] + values[2]) / 2, rel=0.01)
 
 
 def _eroded(mask, rows=3, columns=1):

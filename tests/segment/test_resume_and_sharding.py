@@ -1,11 +1,13 @@
-"""However it is run, a recipe gives the same: killed and resumed bit for bit, on many devices to rounding."""
+"""However it is run, a recipe gives the same: killed and resumed bit for bit, on many devices to rounding.
+
+Two processes are in test_many_machines.
+"""
 
 from __future__ import annotations
 
 import os
 import secrets
 import signal
-import socket
 
 import jax
 import numpy as np
@@ -75,22 +77,6 @@ def test_resuming_what_is_done_changes_nothing(folder, alone):
 def test_eight_devices_have_the_losses_of_one(folder, alone, tmp_path):
     end(start(folder, tmp_path / "eight", XLA_FLAGS=EIGHT, EXPECTED_DEVICES="8"))
     assert_same_losses(recorded(tmp_path / "eight"), recorded(alone))
-
-
-def test_two_processes_have_the_losses_of_one(folder, alone, tmp_path):
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        address = f"127.0.0.1:{free.getsockname()[1]}"
-    shared = {
-        "SONARJAX_COORDINATOR": address,
-        "SONARJAX_PROCESSES": "2",
-        "EXPECTED_DEVICES": "2",
-        "EXPECTED_PROCESSES": "2",
-    }
-    both = [start(folder, tmp_path / "two", SONARJAX_PROCESS=str(number), **shared) for number in range(2)]
-    for process in both:
-        end(process)
-    assert_same_losses(recorded(tmp_path / "two"), recorded(alone))
 
 
 def assert_same_losses(found, wanted):
