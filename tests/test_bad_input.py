@@ -26,6 +26,8 @@ s = sj.Sonar.preset("didson-hf", tilt=0.35, n_ranges=64, range_min=2.0, range_ma
 m, p, im = sj.Mesh.load(path), sj.Pose(2.3, 0.0, 0.8), np.full(s.shape, 0.5, np.float32)
 frame = sj.SonarFrame(im, im, im, im > 0, 0, s)
 two = sj.stack_meshes([m, m])
+coarse = sj.SearchConfig(decimation=65)
+listed = sj.RefineConfig(blurs=[3, 1], margin=[8, 2])
 painted = replace(m, reflectivity=np.ones(3))
 recognizer = sj.Recognizer(m, s, segmenter="none", refine=None)
 network = sj.load_segmenter()
@@ -119,7 +121,31 @@ CASES = {
     "sj.match_bank(im, 'bank.npy')": "templates: expected numbers, got 'bank.npy'",
     "sj.match_bank(im, np.zeros((3, 8, 8)), 'mask.npy')": "mask: expected numbers, got 'mask.npy'",
     "sj.Turning(rate_std='5')": "rate_std: expected a number of 0 or more, got '5'",
-    "sj.TrackConfig(components=24.5)": "TrackConfig: expected components of 2 or more and ",
+    "sj.TrackConfig(components=24.5)": "components: expected a whole number of 2 or more, got 24.5",
+    "sj.SearchConfig(range_step=float('inf'))": "range_step: expected a positive number of metres, got inf",
+    "sj.SearchConfig(decimation=2.5)": "decimation: expected a whole number of 1 or more, got 2.5",
+    "sj.SearchConfig(yaw_bins=36.5)": "yaw_bins: expected a whole number of 4 or more, got 36.5",
+    "sj.SearchConfig(hypotheses=True)": "hypotheses: expected a whole number of 1 or more, got True",
+    "sj.SearchConfig(lead=float('nan'))": "lead: expected a number of 0 or more, got nan",
+    "sj.Recognizer(m, s, segmenter='none', search=coarse)": "decimation: expected at most the 64 range bins of a ",
+    "sj.RenderQuality(sub_beams=1.5)": "sub_beams: expected a whole number of 1 or more, got 1.5",
+    "sj.RefineConfig(iterations=2.7)": "iterations: expected a whole number of 1 or more, got 2.7",
+    "sj.RefineConfig(margin=(5,))": "margin: expected two whole numbers (bins, beams), got (5,)",
+    "sj.RefineConfig(margin=(-100, -5))": "margin[0]: expected a whole number of 0 or more, got -100",
+    "sj.RefineConfig(margin=5)": "margin: expected two whole numbers (bins, beams), got 5",
+    "sj.RefineConfig(blurs=2.0)": "blurs: expected positive numbers of range bins, got 2.0",
+    "sj.RefineConfig(bounds=.1)": "bounds: expected three positive numbers [rad, m, m], got 0.1",
+    "sj.RefineConfig(sharpness='a')": "sharpness: expected a number of 0 or more, got 'a'",
+    "sj.RefineConfig(template=['echo'])": "template: expected one of semantic, ",
+    "sj.SurfaceConfig(blurs=6.0)": "blurs: expected positive numbers of range bins, got 6.0",
+    "sj.SurfaceConfig(iterations=1.5)": "iterations: expected a whole number of 1 or more, got 1.5",
+    "sj.fit_size([im], m, s, p, prior={'object_length': 'a'})": "prior: object_length: expected a positive ",
+    "sj.fit_size([im], m, s, p, prior=0.1)": "prior: expected standard deviations by name, got 0.1",
+    "sj.fit_size([im], m, s, p, masks=True)": "masks: expected a sequence of images (range, beam), got True",
+    "sj.fit_size([im], m, s, p, masks=['a'])": "masks[0]: expected numbers, got 'a'",
+    # Lists in place of tuples
+    "[listed.blurs, listed.margin, hash(listed) == hash(replace(listed))]": "no error: [(3.0, 1.0), (8, 2), True]",
+    "hash(sj.SurfaceConfig(blurs=[3, 1])) == hash(sj.SurfaceConfig(blurs=(3.0, 1.0)))": "no error: True",
     "sj.calibrate([im], m, s.replace(range_min=0.0), free=['range_offset'])": "free: range_offset: expected a window ",
     "s.replace(tlt=0.3)": "sonar: unknown field tlt, expected one of: azimuth, range_min, ",
 }
