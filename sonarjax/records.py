@@ -2,14 +2,17 @@
 
 A constructor may broadcast, convert or check what a user gives it. JAX rebuilds a record from tracers, shape structs
 and placeholders, which must pass through unchanged. Fields marked by `static()` decide shapes and are not leaves.
+Records are equal if all their values are.
 """
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any, TypeVar, dataclass_transform
 
 import jax
+import numpy as np
 
 T = TypeVar("T")
 
@@ -57,4 +60,22 @@ def record(cls: type[T]) -> type[T]:
         return value
 
     jax.tree_util.register_pytree_with_keys(made, flatten_with_keys, unflatten, flatten)
+    made.__eq__ = _equal_by(made.__eq__)  # the dataclass's hash stays: it fails for arrays, as theirs does
     return made
+
+
+def _equal_by(usual: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    """Compare records by value. Traced ones are left to the dataclass's `usual` comparison, which raises JAX's error;
+    arrays have no single truth value, so that it fails for them too.
+    """
+
+    def equal(one: Any, other: Any) -> Any:
+        if one is other or other.__class__ is not one.__class__:
+            return one is other or NotImplemented
+        flat: tuple[Any, Any] = jax.tree.flatten(one), jax.tree.flatten(other)
+        (left, shape), (right, other_shape) = flat
+        if any(isinstance(leaf, jax.core.Tracer) for leaf in (*left, *right)):
+            return usual(one, other)
+        return shape == other_shape and all(a is b or np.array_equal(a, b) for a, b in zip(left, right, strict=True))
+
+    return equal

@@ -13,7 +13,8 @@ import pytest
 
 PREPARED = """
 import json, sys
-import numpy as np, trimesh
+from dataclasses import replace
+import jax, numpy as np, trimesh
 import sonarjax as sj
 from sonarjax.io import Frame
 
@@ -24,6 +25,10 @@ beams = np.linspace(-0.2, 0.2, 16)
 s = sj.Sonar.preset("didson-hf", tilt=0.35, n_ranges=64, range_min=2.0, range_max=3.0, azimuth=beams)
 m, p, im = sj.Mesh.load(path), sj.Pose(2.3, 0.0, 0.8), np.full(s.shape, 0.5, np.float32)
 frame = sj.SonarFrame(im, im, im, im > 0, 0, s)
+two = sj.stack_meshes([m, m])
+coarse = sj.SearchConfig(decimation=65)
+listed = sj.RefineConfig(blurs=[3, 1], margin=[8, 2])
+painted = replace(m, reflectivity=np.ones(3))
 recognizer = sj.Recognizer(m, s, segmenter="none", refine=None)
 network = sj.load_segmenter()
 found = {}
@@ -41,6 +46,7 @@ POSE = "expected a Pose (such as Pose(x=2.0, y=0.0, yaw=0.5)), got "
 SONAR = "expected a Sonar (from Sonar.from_toml(path) or Sonar.preset(name)), got "
 WEIGHTS = "weights: expected a GeneratorWeights (such as load_segmenter().weights), got "
 ONE = "image: expected one frame (range, beam), got shape (64, 16, 1)"
+FACTORS = "expected a reflectivity of 12 factors, one for each triangle and padding, got shape "
 READ = " (sonarjax.io.read_frames(path) reads files)"
 CASES = {
     # Something else in place of a mesh, a pose or a sonar
@@ -80,6 +86,11 @@ CASES = {
     "sj.fit_size([im], 'x.stl', s, p)": f"mesh: {MESH}'x.stl'",
     "sj.fit_surface([im], m, s, [p])": f"poses: {POSE}a list",
     "sj.calibrate([im], m, s, poses=sj.Pose(x=[2300.0]))": "poses[0]: expected the object in view, got x 2.3e+03 m",
+    "sj.render(painted, p, s)": f"mesh: {FACTORS}(3,)",
+    "sj.render([m, painted], [p, p], s)": f"mesh: {FACTORS}(3,)",
+    "sj.render(replace(two, reflectivity=np.ones((2, 3))), p, s)": f"mesh: {FACTORS}(2, 3)",
+    "jax.jit(lambda r: sj.render(replace(m, reflectivity=r), p, s))(np.ones(3))": f"mesh: {FACTORS}(3,)",
+    "sj.template_bank(painted, s, [0.0], x=2.3)": f"mesh: {FACTORS}(3,)",
     # Something else in place of an image
     "sj.calibrate(['a.npy'], m, s)": f"frames[0]: expected numbers, got 'a.npy'{READ}",
     "sj.calibrate('folder', m, s)": "frames: expected a sequence of images (range, beam), got 'folder'",
@@ -109,8 +120,41 @@ CASES = {
     "recognizer(im, im > 1)": "mask: expected at least one pixel that was measured, all are False",
     "sj.Mesh.load(path, 'mm')": "unit_m must be a positive number of metres (0.001 for millimetres), got 'mm'",
     "sj.Mesh.from_arrays('vertices', [[0, 1, 2]])": "mesh: vertices: expected numbers, got 'vertices'",
+    "sj.Mesh.from_arrays(np.eye(3), [[0, 1, 1.5]])": "mesh: faces: expected whole vertex numbers, got fractions or NaN",
+    "m.with_vertices([[0.0, 0.0, 0.0]])": "vertices: expected shape (8, 3), got (1, 3)",
+    "m.with_vertices('v.npy')": "vertices: expected numbers, got 'v.npy'",
+    "two.with_vertices(two.vertices)": "with_vertices: expected one mesh, got a batch of shape (2,)",
+    "sj.reduce_mesh(m, 'a')": "tolerance: expected a positive number of metres, got 'a'",
+    "sj.reduce_mesh(box, 0.01)": f"mesh: {MESH}a Trimesh",
+    "sj.match_bank('a', np.zeros((3, 8, 8)))": f"image: expected numbers, got 'a'{READ}",
+    "sj.match_bank(im, 'bank.npy')": "templates: expected numbers, got 'bank.npy'",
+    "sj.match_bank(im, np.zeros((3, 8, 8)), 'mask.npy')": "mask: expected numbers, got 'mask.npy'",
     "sj.Turning(rate_std='5')": "rate_std: expected a number of 0 or more, got '5'",
-    "sj.TrackConfig(components=24.5)": "TrackConfig: expected components of 2 or more and ",
+    "sj.TrackConfig(components=24.5)": "components: expected a whole number of 2 or more, got 24.5",
+    "sj.SearchConfig(range_step=float('inf'))": "range_step: expected a positive number of metres, got inf",
+    "sj.SearchConfig(decimation=2.5)": "decimation: expected a whole number of 1 or more, got 2.5",
+    "sj.SearchConfig(yaw_bins=36.5)": "yaw_bins: expected a whole number of 4 or more, got 36.5",
+    "sj.SearchConfig(hypotheses=True)": "hypotheses: expected a whole number of 1 or more, got True",
+    "sj.SearchConfig(lead=float('nan'))": "lead: expected a number of 0 or more, got nan",
+    "sj.Recognizer(m, s, segmenter='none', search=coarse)": "decimation: expected at most the 64 range bins of a ",
+    "sj.RenderQuality(sub_beams=1.5)": "sub_beams: expected a whole number of 1 or more, got 1.5",
+    "sj.RefineConfig(iterations=2.7)": "iterations: expected a whole number of 1 or more, got 2.7",
+    "sj.RefineConfig(margin=(5,))": "margin: expected two whole numbers (bins, beams), got (5,)",
+    "sj.RefineConfig(margin=(-100, -5))": "margin[0]: expected a whole number of 0 or more, got -100",
+    "sj.RefineConfig(margin=5)": "margin: expected two whole numbers (bins, beams), got 5",
+    "sj.RefineConfig(blurs=2.0)": "blurs: expected positive numbers of range bins, got 2.0",
+    "sj.RefineConfig(bounds=.1)": "bounds: expected three positive numbers [rad, m, m], got 0.1",
+    "sj.RefineConfig(sharpness='a')": "sharpness: expected a number of 0 or more, got 'a'",
+    "sj.RefineConfig(template=['echo'])": "template: expected one of semantic, ",
+    "sj.SurfaceConfig(blurs=6.0)": "blurs: expected positive numbers of range bins, got 6.0",
+    "sj.SurfaceConfig(iterations=1.5)": "iterations: expected a whole number of 1 or more, got 1.5",
+    "sj.fit_size([im], m, s, p, prior={'object_length': 'a'})": "prior: object_length: expected a positive ",
+    "sj.fit_size([im], m, s, p, prior=0.1)": "prior: expected standard deviations by name, got 0.1",
+    "sj.fit_size([im], m, s, p, masks=True)": "masks: expected a sequence of images (range, beam), got True",
+    "sj.fit_size([im], m, s, p, masks=['a'])": "masks[0]: expected numbers, got 'a'",
+    # Lists in place of tuples
+    "[listed.blurs, listed.margin, hash(listed) == hash(replace(listed))]": "no error: [(3.0, 1.0), (8, 2), True]",
+    "hash(sj.SurfaceConfig(blurs=[3, 1])) == hash(sj.SurfaceConfig(blurs=(3.0, 1.0)))": "no error: True",
     "sj.calibrate([im], m, s.replace(range_min=0.0), free=['range_offset'])": "free: range_offset: expected a window ",
     "s.replace(tlt=0.3)": "sonar: unknown field tlt, expected one of: azimuth, range_min, ",
 }

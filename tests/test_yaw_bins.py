@@ -77,5 +77,5 @@ def test_refinement_may_go_as_far_as_a_wide_bin(mesh, sonar):
 
 
 def test_too_few_bins_are_refused():
-    with pytest.raises(sj.SonarjaxError, match="yaw_bins: expected 4 or more, got 3"):
+    with pytest.raises(sj.SonarjaxError, match="yaw_bins: expected a whole number of 4 or more, got 3"):
         SearchConfig(yaw_bins=3)

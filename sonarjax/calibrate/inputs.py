@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.io.given import check_kind, image_array, shown
+from sonarjax.io.given import check_kind, image_array, number_array, shown
 from sonarjax.render.region import image_azimuth
 from sonarjax.scene import Mesh, Pose
 from sonarjax.sonar import Sonar
@@ -34,8 +34,10 @@ def check_frames(frames: Any, masks: Any, sonar: Sonar) -> tuple[list[np.ndarray
     images = [np.asarray(image_array(image, f"frames[{k}]"), np.float32) for k, image in enumerate(frames)]
     if not images:
         raise SonarjaxError("frames: expected at least one frame")
+    if isinstance(masks, str) or not isinstance(masks, Iterable | None):
+        raise SonarjaxError(f"masks: expected a sequence of images (range, beam), got {shown(masks)}")
     given = [None] * len(images) if masks is None else list(masks)
-    measured = [None if mask is None else np.asarray(mask, bool) for mask in given]
+    measured = [None if m is None else number_array(m, f"masks[{k}]").astype(bool) for k, m in enumerate(given)]
     if len(measured) != len(images):
         raise SonarjaxError(f"masks: expected one for each of the {len(images)} frames, got {len(measured)}")
     for number, (image, mask) in enumerate(zip(images, measured, strict=True)):

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.given import is_number, shown
 from sonarjax.refine.free import in_order
 from sonarjax.scene import Mesh
 from sonarjax.sonar import Sonar
@@ -81,12 +82,14 @@ def prior_std(free: Sequence[str], prior: Mapping[str, float] | None, sonar: Son
         SonarjaxError: A name is not free, a value is not positive, or `range_offset` is free and the window begins so
             near the sonar that ranges might become negative.
     """
+    if not isinstance(prior, Mapping | None):
+        raise SonarjaxError(f"prior: expected standard deviations by name, got {shown(prior)}")
     given = dict(prior or {})
     for name, value in given.items():
         if name not in free:
             raise SonarjaxError(f"prior: {name!r} is not among the free numbers {', '.join(free)}")
-        if not (math.isfinite(value) and value > 0):
-            raise SonarjaxError(f"prior: {name}: expected a positive standard deviation, got {value}")
+        if not (is_number(value) and 0 < value < math.inf):
+            raise SonarjaxError(f"prior: {name}: expected a positive standard deviation, got {shown(value)}")
     stated = {} if sonar.geometry_std is None else vars(sonar.geometry_std)
     known = {name: float(stated.get(name, 0.0)) or (PARAMETERS | SIZES)[name].std for name in free} | given
     nearest = OFFSET_ROOM * known.get("range_offset", 0.0)

@@ -5,6 +5,7 @@ They look at types only, so traced values pass them and cost nothing.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -79,6 +80,31 @@ def is_number(value: Any) -> bool:
     except ValueError:
         return False
     return array.ndim == 0 and array.dtype.kind in "iuf" and not np.isnan(array)
+
+
+def check_whole(value: Any, least: int, name: str) -> None:
+    """Raise a SonarjaxError unless this is a whole number of Python or NumPy of `least` or more."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+        raise SonarjaxError(f"{name}: expected a whole number of {least} or more, got {shown(value)}")
+
+
+def positive_numbers(value: Any, expected: str, name: str, count: int | None = None) -> tuple[float, ...]:
+    """Several positive, finite numbers as a tuple, which has a hash; the message says what was `expected`.
+
+    Raises a SonarjaxError for other values, none, or another number of them than `count`.
+    """
+    found = several(value)
+    if not found or len(found) != (count or len(found)) or not all(is_number(v) and 0 < v < math.inf for v in found):
+        raise SonarjaxError(f"{name}: expected {expected}, got {shown(value) if found is None else found}")
+    return tuple(float(v) for v in found)
+
+
+def several(value: Any) -> tuple[Any, ...] | None:
+    """The items of a list, a tuple or an array; None for text and for what has no items."""
+    try:
+        return None if isinstance(value, str | bytes) else tuple(value)
+    except TypeError:
+        return None
 
 
 def shown(value: Any) -> str:

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.given import image_array, number_array
 from sonarjax.match.masked import MIN_VALID, NEAR_CONSTANT, masked_frame, masked_maps, weighted_frame, weighted_maps
 from sonarjax.match.spectra import (
     TemplateSpectra,
@@ -97,7 +98,7 @@ def match_bank(
         Scores (yaw,) from -1 to 1.
 
     Raises:
-        SonarjaxError: Shapes do not fit.
+        SonarjaxError: Shapes do not fit, or something else than numbers is given.
     """
     return _match(image, bank, mask, template_mask, min_valid, _best_score)
 
@@ -127,7 +128,7 @@ def match_positions(
         `scores` (yaw,) from -1 to 1, and the top-left corner of each best window: `row` (yaw,) and `col` (yaw,).
 
     Raises:
-        SonarjaxError: Shapes do not fit.
+        SonarjaxError: Shapes do not fit, or something else than numbers is given.
     """
     return _match(image, bank, mask, template_mask, min_valid, best_position, penalise_unmeasured)
 
@@ -153,7 +154,7 @@ def correlation_maps(
         Correlations (yaw, row, col) from -1 to 1, at range − h + 1 by beam − w + 1 positions.
 
     Raises:
-        SonarjaxError: Shapes do not fit.
+        SonarjaxError: Shapes do not fit, or something else than numbers is given.
     """
     return _match(image, bank, mask, template_mask, min_valid, _whole_map)
 
@@ -167,6 +168,7 @@ def _match(
     reduce: Callable[..., Any],
     penalise_unmeasured: bool = False,
 ) -> Any:
+    image = image if isinstance(image, jax.Array) else image_array(image, "image")
     image, templates = jnp.asarray(image, jnp.float32), _templates(bank)
     shape = tuple(image.shape)
     check_shapes(templates.shape, shape)
@@ -183,11 +185,13 @@ def _match(
 
 
 def _templates(bank: Any) -> Array:
-    return jnp.asarray(getattr(bank, "templates", bank), jnp.float32)
+    templates = getattr(bank, "templates", bank)
+    templates = templates if isinstance(templates, jax.Array) else number_array(templates, "templates")
+    return jnp.asarray(templates, jnp.float32)
 
 
 def _as_mask(name: str, mask: Any, shape: tuple[int, ...]) -> Array:
-    mask = jnp.asarray(mask)
+    mask = jnp.asarray(mask if isinstance(mask, jax.Array) else number_array(mask, name))
     if mask.shape != shape:
         raise SonarjaxError(f"{name}: expected shape {shape}, got {mask.shape}")
     return mask.astype(bool)

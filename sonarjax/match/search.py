@@ -16,6 +16,7 @@ import numpy as np
 
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import OutOfViewError, SonarjaxError
+from sonarjax.io.given import check_whole, is_number, shown
 from sonarjax.match.compact import CompactBank, match_compact
 from sonarjax.match.ncc import PreparedBank, match_positions, prepare_bank
 from sonarjax.render import (
@@ -54,11 +55,13 @@ class SearchConfig:
     coarse_every: int = 3
     """The coarse search uses every such distance: 3 means every third."""
     coarse_yaws: int = 18
-    """Yaws of the coarse search over the full circle."""
+    """About how many yaws the coarse search tries: every floor(yaw_bins / coarse_yaws)-th yaw bin.
+    That is every bin where there are more of them than bins.
+    """
     decimation: int = 4
-    """Range bins that are averaged into one in the coarse search."""
+    """Range bins that are averaged into one in the coarse search; not more than a frame has."""
     hypotheses: int = 2
-    """Most yaws that are refined."""
+    """Most yaws from the map that are refined. The frame's best yaw, and poses given as `starts`, are refined too."""
     quality: RenderQuality = RenderQuality(sub_beams=1)
     """How finely templates are rendered."""
     candidates: int = 5
@@ -73,12 +76,14 @@ class SearchConfig:
     """Components of the low-rank bank that represents all targets' templates at one distance in the first look."""
 
     def __post_init__(self) -> None:
-        """Raise a SonarjaxError for fewer than 4 yaw bins (peaks need neighbours), no step, or counts below 1."""
-        if self.yaw_bins < 4:
-            raise SonarjaxError(f"yaw_bins: expected 4 or more, got {self.yaw_bins}")
-        counts = self.coarse_every, self.coarse_yaws, self.decimation, self.hypotheses, self.candidates, self.rank
-        if min(counts) < 1 or not self.range_step > 0:
-            raise SonarjaxError(f"SearchConfig: expected counts of 1 or more and a positive range_step, got {self}")
+        """Raise a SonarjaxError for numbers that no search can have."""
+        check_whole(self.yaw_bins, 4, "yaw_bins")  # peaks need neighbours
+        for name in ("coarse_every", "coarse_yaws", "decimation", "hypotheses", "candidates", "rank"):
+            check_whole(getattr(self, name), 1, name)
+        if not (is_number(self.range_step) and 0 < self.range_step < math.inf):
+            raise SonarjaxError(f"range_step: expected a positive number of metres, got {shown(self.range_step)}")
+        if not (is_number(self.lead) and self.lead >= 0):
+            raise SonarjaxError(f"lead: expected a number of 0 or more, got {shown(self.lead)}")
 
 
 class Match(NamedTuple):
@@ -120,8 +125,12 @@ class TargetSearch:
             compact: Keep few banks, and small ones, at some cost in time.
 
         Raises:
-            SonarjaxError: No distance is in view or too many are, or the mesh is larger than the sonar's range.
+            SonarjaxError: No distance is in view or too many are, the mesh is larger than the sonar's range, or
+                `decimation` larger than its number of range bins.
         """
+        if config.decimation > sonar.n_ranges:
+            limit = f"at most the {sonar.n_ranges} range bins of a frame"
+            raise SonarjaxError(f"decimation: expected {limit}, got {config.decimation}")
         check_fits(mesh, sonar, name)
         self.mesh, self.sonar, self.config, self.name, self.engine = mesh, sonar, config, name, engine
         self.compact = compact

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.given import check_whole, is_number, positive_numbers, several, shown
 from sonarjax.refine.free import ALL
 from sonarjax.refine.template import VIEWS, Template
 from sonarjax.render import RenderQuality
@@ -53,20 +55,21 @@ class RefineConfig:
     """
 
     def __post_init__(self) -> None:
-        """Raise a SonarjaxError for an unknown template, or numbers that no search can have."""
-        if self.template not in VIEWS:
+        """Turn lists into tuples. Raise a SonarjaxError for an unknown template, or numbers that no search can have."""
+        if not isinstance(self.template, str) or self.template not in VIEWS:
             raise SonarjaxError(f"template: expected one of {', '.join(VIEWS)}, got {self.template!r}")
-        if len(self.bounds) != 3 or not all(0 < v < math.inf for v in self.bounds):
-            raise SonarjaxError(f"bounds: expected three positive numbers [rad, m, m], got {self.bounds}")
-        if len(self.lean_bounds) != 3 or not all(0 < v < math.inf for v in self.lean_bounds):
-            raise SonarjaxError(f"lean_bounds: expected three positive numbers [m, rad, rad], got {self.lean_bounds}")
-        if not self.blurs or not all(0 < v < math.inf for v in self.blurs):
-            raise SonarjaxError(f"blurs: expected positive numbers of range bins, got {self.blurs}")
-        if self.iterations < 1 or self.polish < 0 or not 0 <= self.sharpness < math.inf:
-            raise SonarjaxError(
-                "RefineConfig: expected iterations of 1 or more, polish and sharpness of 0 or more, got "
-                f"{self.iterations}, {self.polish} and {self.sharpness}"
-            )
+        for name, expected, count in (
+            ("bounds", "three positive numbers [rad, m, m]", 3),
+            ("lean_bounds", "three positive numbers [m, rad, rad]", 3),
+            ("blurs", "positive numbers of range bins", None),
+        ):
+            object.__setattr__(self, name, positive_numbers(getattr(self, name), expected, name, count))
+        check_whole(self.iterations, 1, "iterations")
+        check_whole(self.polish, 0, "polish")
+        if not (is_number(self.sharpness) and 0 <= self.sharpness < math.inf):
+            raise SonarjaxError(f"sharpness: expected a number of 0 or more, got {shown(self.sharpness)}")
+        if self.margin is not None:
+            object.__setattr__(self, "margin", _checked_margin(self.margin))
 
     def bound(self, name: str) -> float:
         """Look up the largest change of one number of the pose.
@@ -78,3 +81,14 @@ class RefineConfig:
             The largest change from the start, in [m] for x, y and z and in [rad] for the angles.
         """
         return dict(zip(ALL, (*self.bounds, *self.lean_bounds), strict=True))[name]
+
+
+def _checked_margin(margin: Any) -> tuple[int, int]:
+    """The margin as a tuple. Raises a SonarjaxError unless it is two whole numbers of 0 or more."""
+    given = several(margin)
+    if given is None or len(given) != 2:
+        wrong = shown(margin) if given is None else given
+        raise SonarjaxError(f"margin: expected two whole numbers (bins, beams), got {wrong}")
+    for k, number in enumerate(given):
+        check_whole(number, 0, f"margin[{k}]")
+    return int(given[0]), int(given[1])

@@ -28,6 +28,7 @@ from sonarjax.render.simulate import one_by_one, with_enough_room
 from sonarjax.render.visibility import EXACT_LIMIT
 from sonarjax.render.window import render_window
 from sonarjax.scene import Mesh, Pose
+from sonarjax.scene.mesh import check_reflectivity
 from sonarjax.sonar import Sonar
 
 BANK_QUALITY = RenderQuality(sub_beams=1)
@@ -105,9 +106,11 @@ def template_bank(
         The bank, with templates (yaw, range, beam).
 
     Raises:
-        SonarjaxError: `yaws` is empty or not finite; or z, roll or pitch is not finite or has another length.
+        SonarjaxError: `yaws` is empty or not finite; z, roll or pitch is not finite or has another length; or the
+            mesh's reflectivity has.
         OutOfViewError: The object is outside the sonar's view.
     """
+    check_reflectivity(mesh, "mesh")
     yaws = np.atleast_1d(np.asarray(yaws, np.float32))
     if yaws.ndim != 1 or yaws.size == 0 or not np.isfinite(yaws).all():
         raise SonarjaxError(f"yaws: expected a non-empty list of finite angles [rad], got shape {yaws.shape}")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt8
 
-from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.given import check_whole
 from sonarjax.records import record, static
 from sonarjax.sonar import Sonar
 
@@ -24,12 +24,9 @@ class RenderQuality:
     """
 
     def __post_init__(self) -> None:
-        """Raise a SonarjaxError for a number below 1."""
-        if self.sub_beams < 1 or self.elevations < 1:
-            raise SonarjaxError(
-                f"RenderQuality: expected sub_beams and elevations of at least 1, got {self.sub_beams} and "
-                f"{self.elevations}"
-            )
+        """Raise a SonarjaxError for what is no whole number of 1 or more."""
+        check_whole(self.sub_beams, 1, "sub_beams")
+        check_whole(self.elevations, 1, "elevations")
 
 
 @record

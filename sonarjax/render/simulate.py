@@ -17,7 +17,7 @@ from sonarjax.render.frame import RenderQuality, SonarFrame, Window
 from sonarjax.render.window import render_window
 from sonarjax.scene import Mesh, Pose
 from sonarjax.scene.limits import check_pose
-from sonarjax.scene.mesh import joined_reflectivity
+from sonarjax.scene.mesh import check_reflectivity, joined_reflectivity
 from sonarjax.sonar import Sonar
 
 AT_ONCE = 64
@@ -49,8 +49,8 @@ def render(
         A frame (*batch, range, beam). `*batch` is the shape of `pose`, broadcast with that of stacked meshes.
 
     Raises:
-        SonarjaxError: An argument is of another kind, the numbers of meshes and poses differ, or a pose (unless traced)
-            is not finite or absurdly far away.
+        SonarjaxError: An argument is of another kind, the numbers of meshes and poses differ, a pose (unless traced)
+            is not finite or absurdly far away, or a reflectivity has another length than the mesh has triangles.
     """
     check_kind(sonar, Sonar, "sonar")
     mesh, pose = one_scene(mesh, pose)
@@ -58,13 +58,15 @@ def render(
 
 
 def one_scene(mesh: Mesh | Sequence[Mesh], pose: Pose | Sequence[Pose]) -> tuple[Mesh, Pose]:
-    """Check the poses of a scene, and join its objects if there are several (`place_together`)."""
+    """Check the meshes and poses of a scene, and join its objects if there are several (`place_together`)."""
     meshes = listed(mesh, Mesh, "mesh")
+    for one in meshes:
+        check_reflectivity(one, "mesh")
     if isinstance(mesh, Mesh):
         check_kind(pose, Pose, "pose")
     poses = listed(pose, Pose, "pose")
-    for one in poses:
-        check_pose(one)
+    for place in poses:
+        check_pose(place)
     return (meshes[0], poses[0]) if isinstance(mesh, Mesh) else place_together(meshes, poses)
 
 

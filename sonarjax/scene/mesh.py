@@ -113,14 +113,14 @@ class Mesh:
 
         Raises:
             SonarjaxError: Something else than numbers is given, a shape is wrong, there is no triangle or more than
-                `MAX_FACES`, every triangle has zero area, a value is not finite, an index is out of range, or the
-                extent shows that the coordinates are not metres.
+                `MAX_FACES`, every triangle has zero area, a value is not finite, an index is no whole number or out of
+                range, or the extent shows that the coordinates are not metres.
         """
         vertices, faces = number_array(vertices, f"{name}: vertices"), number_array(faces, f"{name}: faces")
         check_face_count(len(np.atleast_1d(faces)), name)  # before anything is copied
-        vertices, faces = vertices.astype(np.float64), faces.astype(np.int64)
+        vertices = vertices.astype(np.float64)
         _check(vertices, faces, name)
-        vertices, faces = _used(vertices, faces)
+        vertices, faces = _used(vertices, faces.astype(np.int64))
         check_coordinates(vertices, name)
         surface = trimesh.Trimesh(vertices, faces, process=False, validate=False)
         surface.merge_vertices()
@@ -136,8 +136,9 @@ class Mesh:
         """Return the same triangles with other vertex positions, to deform a shape or differentiate by it.
 
         The gradient by the shape is `jax.grad(lambda v: loss(mesh.with_vertices(v)))(mesh.vertices)`. For concrete
-        vertices, what slices can meet is measured again. For traced ones it is kept, and `SonarFrame.overflow` says
-        whether it still suffices.
+        vertices, what slices can meet is measured again, and the triangles of a closed mesh are turned if the new
+        vertices are mirrored, so that they still face outwards. For traced ones all this is kept as it is, and
+        `SonarFrame.overflow` says whether there is still enough room.
 
         Args:
             vertices: New positions of all vertices, padding included (vertex, 3) [m].
@@ -146,17 +147,29 @@ class Mesh:
             The changed mesh.
 
         Raises:
-            SonarjaxError: The shape differs, or concrete values are not finite.
+            SonarjaxError: Something else than numbers is given, the shape differs, concrete values are not finite, or
+                this is a stack of meshes and nothing is traced.
         """
+        vertices = vertices if isinstance(vertices, jax.Array) else number_array(vertices, "vertices")
         if tuple(vertices.shape) != tuple(self.vertices.shape):
             raise SonarjaxError(f"vertices: expected shape {self.vertices.shape}, got {tuple(vertices.shape)}")
         if any(isinstance(v, jax.core.Tracer) for v in (vertices, *jax.tree.leaves(self))):
             return replace(self, vertices=vertices)
-        positions, faces = np.asarray(vertices, np.float32), np.asarray(self.faces)
+        if self.vertices.ndim != 2:
+            raise SonarjaxError(f"with_vertices: expected one mesh, got a batch of shape {self.vertices.shape[:-2]}")
+        positions, faces, closed = np.asarray(vertices, np.float32), np.asarray(self.faces), bool(self.closed)
         if not np.isfinite(positions).all():
             raise SonarjaxError("vertices: hold NaN or infinite values")
-        real = faces[faces[:, 0] != faces[:, 1]]
-        return replace(self, vertices=jnp.asarray(positions), **_measured(positions, real, bool(self.closed)))
+        real = faces[:, 0] != faces[:, 1]
+        mirrored = closed and _volume(positions, faces[real]) < 0
+        if mirrored:  # else the sonar would see the inside
+            faces = np.where(real[:, None], faces[:, ::-1], faces)
+        return replace(
+            self,
+            vertices=jnp.asarray(positions),
+            faces=jnp.asarray(faces) if mirrored else self.faces,
+            **_measured(positions, faces[real], closed),
+        )
 
     def with_room(self, crossings: int, front: int) -> Mesh:
         """Return the same mesh with room for more triangles in a slice and more that face the sonar.
@@ -220,6 +233,16 @@ def stack_meshes(meshes: Sequence[Mesh]) -> Mesh:
         for mesh in meshes
     ]
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *alike)
+
+
+def check_reflectivity(mesh: Mesh, name: str) -> None:
+    """Raise a SonarjaxError unless the reflectivity has a factor for each triangle, padding included."""
+    given = mesh.reflectivity
+    if given is not None and np.shape(given)[-1:] != (mesh.n_faces,):
+        raise SonarjaxError(
+            f"{name}: expected a reflectivity of {mesh.n_faces} factors, one for each triangle and padding, got shape "
+            f"{np.shape(given)}"
+        )
 
 
 def joined_reflectivity(meshes: Sequence[Mesh]) -> Float[Array, "face"] | None:
@@ -288,6 +311,8 @@ def _check(vertices: np.ndarray, faces: np.ndarray, name: str) -> None:
         raise SonarjaxError(f"{name}: the mesh is empty, expected at least one triangle")
     if not np.isfinite(vertices).all():
         raise SonarjaxError(f"{name}: vertices hold NaN or infinite values")
+    if faces.dtype.kind == "f" and not (faces == np.rint(faces)).all():
+        raise SonarjaxError(f"{name}: faces: expected whole vertex numbers, got fractions or NaN")
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise SonarjaxError(f"{name}: a triangle refers to a vertex that does not exist")
 
@@ -318,6 +343,13 @@ def _turn_outward(surface: trimesh.Trimesh) -> None:
         faces = np.array(surface.faces)
         faces[inward] = faces[inward][:, ::-1]
         surface.faces = faces
+
+
+def _volume(vertices: np.ndarray, faces: np.ndarray) -> float:
+    """Volume [m³] inside a closed surface; negative if its triangles face inwards."""
+    points = vertices.astype(np.float64)
+    a, b, c = np.moveaxis((points - points.mean(axis=0))[faces], 1, 0)
+    return float((np.cross(a, b) * c).sum()) / 6
 
 
 def _padded(surface: trimesh.Trimesh, closed: bool) -> Mesh:

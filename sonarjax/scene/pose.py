@@ -66,23 +66,24 @@ class Pose:
         return tuple(self.x.shape)
 
     @full_precision
-    def to_ground(self, vertices: Float[Array, "vertex 3"]) -> Float[Array, "vertex 3"]:
-        """Move vertices from the mesh frame to the ground frame; for a single pose.
+    def to_ground(self, vertices: Float[Array, "vertex 3"]) -> Float[Array, "*batch vertex 3"]:
+        """Move vertices from the mesh frame to the ground frame.
 
         Args:
             vertices: Vertices in the mesh frame (vertex, 3) [m].
 
         Returns:
-            Vertices in the ground frame (vertex, 3) [m].
+            Vertices in the ground frame (vertex, 3) [m], for each pose, after the batch axes.
         """
-        return vertices @ self.rotation().T + jnp.stack([self.x, self.y, self.z])
+        place = jnp.expand_dims(jnp.stack([self.x, self.y, self.z], axis=-1), -2)
+        return vertices @ jnp.swapaxes(self.rotation(), -1, -2) + place
 
     @full_precision
-    def rotation(self) -> Float[Array, "3 3"]:
-        """Return the rotation from the mesh frame to the ground frame; for a single pose.
+    def rotation(self) -> Float[Array, "*batch 3 3"]:
+        """Return the rotation from the mesh frame to the ground frame.
 
         Returns:
-            Rotation matrix (3, 3).
+            Rotation matrix (3, 3) of each pose, after the batch axes.
         """
         return rotation_z(self.yaw) @ rotation_y(self.pitch) @ rotation_x(self.roll)
 
@@ -100,22 +101,26 @@ def _spread_out(value: Any, shape: tuple[int, ...]) -> Any:
     return value if value.shape == shape else jnp.broadcast_to(value, shape)
 
 
-def rotation_x(angle: Scalar) -> Float[Array, "3 3"]:
-    """Rotation matrix (3, 3) about x by `angle` [rad]."""
+def rotation_x(angle: Scalar) -> Float[Array, "*batch 3 3"]:
+    """Rotation matrices (*batch, 3, 3) about x by `angle` (*batch) [rad]."""
     c, s, o, i = _terms(angle)
-    return jnp.stack([jnp.stack([i, o, o]), jnp.stack([o, c, -s]), jnp.stack([o, s, c])])
+    return _matrix([i, o, o], [o, c, -s], [o, s, c])
 
 
-def rotation_y(angle: Scalar) -> Float[Array, "3 3"]:
-    """Rotation matrix (3, 3) about y by `angle` [rad]."""
+def rotation_y(angle: Scalar) -> Float[Array, "*batch 3 3"]:
+    """Rotation matrices (*batch, 3, 3) about y by `angle` (*batch) [rad]."""
     c, s, o, i = _terms(angle)
-    return jnp.stack([jnp.stack([c, o, s]), jnp.stack([o, i, o]), jnp.stack([-s, o, c])])
+    return _matrix([c, o, s], [o, i, o], [-s, o, c])
 
 
-def rotation_z(angle: Scalar) -> Float[Array, "3 3"]:
-    """Rotation matrix (3, 3) about z by `angle` [rad]."""
+def rotation_z(angle: Scalar) -> Float[Array, "*batch 3 3"]:
+    """Rotation matrices (*batch, 3, 3) about z by `angle` (*batch) [rad]."""
     c, s, o, i = _terms(angle)
-    return jnp.stack([jnp.stack([c, -s, o]), jnp.stack([s, c, o]), jnp.stack([o, o, i])])
+    return _matrix([c, -s, o], [s, c, o], [o, o, i])
+
+
+def _matrix(*rows: list[Array]) -> Array:
+    return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def _terms(angle: Scalar) -> tuple[Array, Array, Array, Array]:

@@ -17,6 +17,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.given import check_kind, is_number, shown
 from sonarjax.scene.mesh import Mesh
 
 FEWEST = 256
@@ -90,11 +91,12 @@ def reduce_mesh(mesh: Mesh, tolerance: float) -> Reduction:
         The reduced mesh with its distance from the original, or the original if hardly any triangle can be removed.
 
     Raises:
-        SonarjaxError: `tolerance` is not a positive number, `mesh` is a batch, or its triangles have reflectivities
-            (it is not known which reflectivity a new triangle should get).
+        SonarjaxError: `tolerance` is not a positive number, `mesh` is something else or a batch, or its triangles have
+            reflectivities (it is not known which reflectivity a new triangle should get).
     """
-    if not 0 < tolerance < math.inf:
-        raise SonarjaxError(f"tolerance: expected a positive number of metres, got {tolerance}")
+    check_kind(mesh, Mesh, "mesh")
+    if not (is_number(tolerance) and 0 < tolerance < math.inf):
+        raise SonarjaxError(f"tolerance: expected a positive number of metres, got {shown(tolerance)}")
     if mesh.vertices.ndim != 2:
         raise SonarjaxError(f"reduce_mesh: expected one mesh, got a batch of shape {mesh.vertices.shape[:-2]}")
     if mesh.reflectivity is not None:

@@ -43,7 +43,7 @@ class SizeEstimate:
     largest first.
     """
     poses: Pose
-    """The object's pose in each frame (frame,)."""
+    """The object's pose in each frame (frame,); yaw is not wrapped to [0, 2π)."""
     residual: np.ndarray
     """RMS of each frame's residuals (frame,), divided by the median over all frames."""
     converged: bool
@@ -94,7 +94,7 @@ def fit_size(
     Raises:
         SonarjaxError: There are no frames, their shapes do not fit the sonar, they are all the same, values are not
             finite, there is another number of poses or masks, the object is out of view, an extent does not exist or
-            is repeated, or a prior is not positive or belongs to no free extent.
+            is repeated, or a prior is no positive number or belongs to no free extent.
     """
     check_kinds(mesh, sonar)
     names = in_order(free, SIZES)

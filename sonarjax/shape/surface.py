@@ -23,6 +23,7 @@ from sonarjax.calibrate.inputs import check_frames, check_kinds, starts_of
 from sonarjax.calibrate.solver import BOUNCE
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.given import check_whole, is_number, positive_numbers, shown
 from sonarjax.refine.objective import Problem, box_around, make_blur, misfit
 from sonarjax.refine.solver import Search, best_template
 from sonarjax.refine.template import VIEWS, EchoLaw, Subject, nominal_law, render_layers, semantic_template
@@ -56,12 +57,14 @@ class SurfaceConfig:
     """Weight of the mean square of the displacement's Laplacian, measured in radii of the body [1]."""
 
     def __post_init__(self) -> None:
-        """Raise a SonarjaxError for numbers that no search can have."""
-        numbers = (*self.blurs, self.step_m)
-        if not self.blurs or not all(0 < v < math.inf for v in numbers) or self.iterations < 1:
-            raise SonarjaxError("SurfaceConfig: expected blurs, step_m and iterations above 0")
-        if not (0 <= self.smoothing < math.inf and 0 <= self.prior < math.inf):
-            raise SonarjaxError("SurfaceConfig: expected smoothing and prior of 0 or more")
+        """Turn lists into tuples. Raise a SonarjaxError for numbers that no search can have."""
+        object.__setattr__(self, "blurs", positive_numbers(self.blurs, "positive numbers of range bins", "blurs"))
+        check_whole(self.iterations, 1, "iterations")
+        positive_numbers((self.step_m,), "a positive number of metres", "step_m")
+        for name in ("smoothing", "prior"):
+            value = getattr(self, name)
+            if not (is_number(value) and 0 <= value < math.inf):
+                raise SonarjaxError(f"{name}: expected a number of 0 or more, got {shown(value)}")
 
 
 @dataclass(frozen=True)
@@ -103,8 +106,9 @@ def fit_surface(
 ) -> SurfaceEstimate:
     """Fit the surface of a smooth body to frames of it at known poses.
 
-    This assumes a flat floor, a known sonar, and a body without sharp edges that stays above the floor (z ≥ 0 in the
-    mesh's frame). Parts that no frame shows are bent smoothly along with the parts that frames show.
+    This assumes a flat floor, a known sonar, and a body without sharp edges that stays above the floor. Vertices below
+    z = 0 of the mesh's frame are moved up to 0, so put the first guess on z = 0, not around the origin. Parts that no
+    frame shows are bent smoothly along with the parts that frames show.
 
     Args:
         frames: Grey frames (frame, range, beam).

@@ -78,8 +78,8 @@ def check_sonar(sonar: S, source: str, names: Mapping[str, str] | None = None) -
 
     Raises:
         SonarjaxError: A field has the wrong type, is NaN or infinite, or lies outside its limits; azimuths do not
-            ascend; there are too many pixels; or the range window ends before it starts, or has range bins too short
-            for float32. The message names the first such field.
+            ascend; a single beam has no width; there are too many pixels; or the range window ends before it starts, or
+            has range bins too short for float32. The message names the first such field.
     """
     checked: Any = sonar
     names = names or {}
@@ -95,6 +95,9 @@ def check_sonar(sonar: S, source: str, names: Mapping[str, str] | None = None) -
             _check_number(getattr(checked.geometry_std, rule.field), rule, source, names.get(field, field))
     check_count(checked.n_ranges, source, names.get("n_ranges", "n_ranges"))
     check_azimuth(checked.azimuth, source, names.get("azimuth", "azimuth"))
+    if checked.n_beams == 1 and not _traced(checked.beam_width) and not np.all(np.asarray(checked.beam_width) > 0):
+        name = names.get("beam_width", "beam_width")
+        raise SonarjaxError(f"{source}: {name} must be more than 0° where there is a single beam, got 0°")
     _check_pixels(checked, source)
     _check_window(checked, source, names)
     return sonar

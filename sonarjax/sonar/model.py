@@ -49,7 +49,7 @@ class Sonar:
     pulse_length: Scalar = 0.0
     """Length of a pulse in range, c·t/2 [m]; at least one range bin is used."""
     beam_width: Scalar = 0.0
-    """Width in azimuth of one beam at −3 dB [rad]; 0 means the beam spacing."""
+    """Width in azimuth of one beam at −3 dB [rad]; 0 means the beam spacing. A single beam needs a width."""
     spreading_exponent: Scalar = 2.0
     """n in intensity ∝ 1/rⁿ; 2 is eq. 2 of the paper."""
     absorption: Scalar = 0.0
@@ -71,7 +71,8 @@ class Sonar:
 
         Args:
             name: A name in `sonarjax.sonar.PRESETS`.
-            **overrides: Values for fields of `Sonar`, in the units of the fields (lengths [m], angles [rad]).
+            **overrides: Values for fields of `Sonar`, in the units of the fields (lengths [m], angles [rad]). A single
+                beam without a `beam_width` is as wide as the device's field of view.
 
         Returns:
             The sonar.
@@ -146,13 +147,14 @@ class Sonar:
         return (self.range_max - self.range_min) / self.n_ranges
 
     @property
-    def range_edges(self) -> Float[Array, "edge"]:
-        """Edges (edge,) of the range bins [m]: one more than there are bins."""
-        return self.range_min + self.range_bin * jnp.arange(self.n_ranges + 1, dtype=jnp.float32)
+    def range_edges(self) -> Float[Array, "*batch edge"]:
+        """Edges (edge,) of the range bins [m], after the batch axes: one more than there are bins."""
+        near, step = (jnp.asarray(v)[..., None] if np.ndim(v) else v for v in (self.range_min, self.range_bin))
+        return near + step * jnp.arange(self.n_ranges + 1, dtype=jnp.float32)
 
     @property
-    def azimuth_edges(self) -> Float[Array, "edge"]:
-        """Edges (edge,) of the beams [rad], one more than there are beams.
+    def azimuth_edges(self) -> Float[Array, "*batch edge"]:
+        """Edges (edge,) of the beams [rad], after the batch axes: one more than there are beams.
 
         Inner edges lie midway between beam centres. An outer edge is as far from its centre as that beam's inner edge.
         """
@@ -175,7 +177,7 @@ def sonar_from_dict(table: Mapping[str, Any], source: str) -> Sonar:
     """Make a sonar from a parsed `sonar.toml`.
 
     If `n_beams` or `field_of_view_deg` differs from the preset's, the beams are evenly spaced; if only one of the two
-    is given, the other is the preset's.
+    is given, the other is the preset's. A single beam without a `beam_width_deg` is as wide as the field of view.
 
     Args:
         table: Keys and values of the file.

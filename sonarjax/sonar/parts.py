@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import jax.numpy as jnp
@@ -56,14 +57,21 @@ class GeometryStd:
     """Standard deviation of uneven beam spacing that differs from port to starboard [1]."""
 
 
-def beam_edges(azimuth: Any, beam_width: Any) -> Float[Array, "edge"]:
-    """Edges (edge,) of beams with these centres (beam,) [rad]; a single beam is `beam_width` [rad] wide.
+def beam_edges(azimuth: Any, beam_width: Any) -> Float[Array, "*batch edge"]:
+    """Edges (*batch, edge) of beams with these centres (*batch, beam) [rad]; a single beam is `beam_width` [rad] wide.
 
     Inner edges lie midway between beam centres. An outer edge is as far from its centre as that beam's inner edge.
     """
     centers = jnp.asarray(azimuth)
     if centers.shape[-1] == 1:
-        half = jnp.maximum(jnp.asarray(beam_width, jnp.float32), 1e-4) / 2
-        return jnp.concatenate([centers - half, centers + half])
-    middle = (centers[1:] + centers[:-1]) / 2
-    return jnp.concatenate([2 * centers[:1] - middle[:1], middle, 2 * centers[-1:] - middle[-1:]])
+        half = jnp.maximum(jnp.asarray(beam_width, jnp.float32), 1e-4)[..., None] / 2
+        return jnp.concatenate([centers - half, centers + half], axis=-1)
+    middle = (centers[..., 1:] + centers[..., :-1]) / 2
+    first, last = 2 * centers[..., :1] - middle[..., :1], 2 * centers[..., -1:] - middle[..., -1:]
+    return jnp.concatenate([first, middle, last], axis=-1)
+
+
+def field_of_view_deg(azimuth: Any) -> float:
+    """Angle between the outer edges of the outer beams [deg], of two or more beams."""
+    edges = beam_edges(azimuth, 0.0)
+    return math.degrees(float(edges[-1] - edges[0]))

@@ -20,6 +20,7 @@ from jaxtyping import Array, Float, Float64
 from sonarjax.io.aris_beams import ARIS_1200, ARIS_1800, ARIS_3000, aris_azimuth_deg
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.sonar.check import check_azimuth, check_count
+from sonarjax.sonar.parts import field_of_view_deg
 
 TILT = math.radians(15.0)
 """Tilt of every preset, the shallowest of Table 1 [rad]."""
@@ -116,6 +117,8 @@ def preset_fields(name: str, overrides: Mapping[str, Any], known: Sequence[str])
     values = PRESETS[name].fields() | dict(overrides)
     if "azimuth" in overrides:
         values["azimuth"] = _as_azimuth(overrides["azimuth"], f"preset {name}")
+        if values["azimuth"].size == 1:
+            values.setdefault("beam_width", math.radians(field_of_view_deg(PRESETS[name].fields()["azimuth"])))
     return values
 
 

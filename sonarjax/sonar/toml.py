@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 from sonarjax.io.atomic import write_text
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.sonar.check import MAX_BEAMS, MAX_RANGES, as_numbers, check_sonar
-from sonarjax.sonar.parts import FloorPatch, GeometryStd, beam_edges
+from sonarjax.sonar.parts import FloorPatch, GeometryStd, field_of_view_deg
 from sonarjax.sonar.presets import PRESETS, azimuth_from_deg, even_beams
 
 _FIELDS = {
@@ -80,8 +80,9 @@ def table_fields(table: Mapping[str, Any], source: str) -> dict[str, Any]:
     if "geometry_std" in table:
         values["geometry_std"] = _geometry_std(table["geometry_std"], source)
     values["azimuth"] = _azimuth(table, base, source)
-    if values["azimuth"].size == 1 and "field_of_view_deg" in table:
-        values.setdefault("beam_width", math.radians(table["field_of_view_deg"]))
+    if values["azimuth"].size == 1:
+        view = table.get("field_of_view_deg", 0.0 if base is None else field_of_view_deg(base["azimuth"]))
+        values.setdefault("beam_width", math.radians(view))
     return (base or {}) | values
 
 
@@ -161,7 +162,7 @@ def _numbers(table: Mapping[str, Any], fields: Mapping[str, str], source: str, p
 
 
 def _number(value: Any, key: str, source: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
+    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
         raise SonarjaxError(f"{source}: {key} must be a number, got {_shown(value)}")
     try:
         number = float(value)
@@ -174,11 +175,11 @@ def _number(value: Any, key: str, source: str) -> float:
 
 def _whole(table: Mapping[str, Any], key: str, largest: int, source: str) -> int:
     value = table[key]
-    if isinstance(value, bool) or not isinstance(value, int):
+    if isinstance(value, bool) or not isinstance(value, int | np.integer):
         raise SonarjaxError(f"{source}: {key} must be a whole number, got {_shown(value)}")
     if not 1 <= value <= largest:
         raise SonarjaxError(f"{source}: {key} must be between 1 and {largest}, got {_shown(value)}")
-    return value
+    return int(value)
 
 
 def _shown(value: Any) -> str:
@@ -216,7 +217,7 @@ def _azimuth(table: Mapping[str, Any], base: dict[str, Any] | None, source: str)
     if "azimuth_deg" in table:
         return _listed_azimuth(table["azimuth_deg"], source)
     if base is not None:
-        own, count = _field_of_view_deg(base["azimuth"]), base["azimuth"].size
+        own, count = field_of_view_deg(base["azimuth"]), base["azimuth"].size
         n_beams, view = n_beams or count, view or own
         if n_beams == count and math.isclose(view, own, rel_tol=1e-3):
             return base["azimuth"]  # the preset's own beams, even or not
@@ -231,12 +232,6 @@ def _listed_azimuth(value: Any, source: str) -> Float[Array, "beam"]:
     return azimuth_from_deg([_number(v, f"azimuth_deg[{i}]", source) for i, v in enumerate(value)])
 
 
-def _field_of_view_deg(azimuth: Any) -> float:
-    """Angle between the outer edges of the outer beams [deg], of two or more beams."""
-    edges = beam_edges(azimuth, 0.0)
-    return math.degrees(float(edges[-1] - edges[0]))
-
-
 def check_beams(table: Mapping[str, Any], azimuth: Any, source: str) -> None:
     """Raise a SonarjaxError unless `n_beams` and `field_of_view_deg` agree with the listed `azimuth` (beam,) [rad].
 
@@ -248,6 +243,6 @@ def check_beams(table: Mapping[str, Any], azimuth: Any, source: str) -> None:
     if "n_beams" in table and table["n_beams"] != count:
         raise SonarjaxError(f"{source}: n_beams is {table['n_beams']}, but azimuth_deg lists {count} beams")
     if "field_of_view_deg" in table and count > 1:
-        listed, view = _field_of_view_deg(azimuth), float(table["field_of_view_deg"])
+        listed, view = field_of_view_deg(azimuth), float(table["field_of_view_deg"])
         if abs(listed - view) > listed / count:
             raise SonarjaxError(f"{source}: field_of_view_deg is {view:g}, but azimuth_deg spans {listed:.2f}")

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, fields
 
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.io.given import is_number, shown
+from sonarjax.io.given import check_whole, is_number, shown
 
 
 @dataclass(frozen=True)
@@ -101,12 +101,8 @@ class TrackConfig:
             raise SonarjaxError(f"TrackConfig: expected misses, tail and alias between 0 and 1, got {shares}")
         if not all(v > 0 for v in (*lengths, self.yaw_scale, self.tail_scale, self.merge)):
             raise SonarjaxError(f"TrackConfig: expected positive numbers, got {self}")
-        counts = (self.components, 2), (self.hypotheses, 1)
-        if not all(isinstance(v, int) and v >= least for v, least in counts):
-            raise SonarjaxError(
-                "TrackConfig: expected components of 2 or more and hypotheses of 1 or more, whole numbers, "
-                f"got {self.components} and {self.hypotheses}"
-            )
+        check_whole(self.components, 2, "components")
+        check_whole(self.hypotheses, 1, "hypotheses")
 
 
 def _check(config: object) -> None:

@@ -179,7 +179,7 @@ def test_what_does_not_fit_is_refused(change, message):
         ({"bounds": (0.1, 0.0, 0.1)}, "bounds: expected three positive"),
         ({"blurs": ()}, "blurs: expected positive"),
         ({"blurs": (math.nan,)}, "blurs: expected positive"),
-        ({"iterations": 0}, "iterations of 1 or more"),
+        ({"iterations": 0}, "iterations: expected a whole number of 1 or more"),
         ({"polish": -1}, "polish"),
     ],
 )

@@ -171,6 +171,9 @@ def test_a_point_cloud_is_no_surface(tmp_path):
         (TRIANGLE + [[0, 0, np.inf]], [[0, 1, 2]], "NaN or infinite"),
         (TRIANGLE, [[0, 1, 3]], "a vertex that does not exist"),
         (TRIANGLE, [[0, 1, -1]], "a vertex that does not exist"),
+        (TRIANGLE, [[0, 1, 2.5]], "faces: expected whole vertex numbers"),
+        (TRIANGLE, [[0, 1, np.nan]], "faces: expected whole vertex numbers"),
+        (TRIANGLE, [[0, 1, np.inf]], "a vertex that does not exist"),
         (TRIANGLE, np.zeros((0, 3)), "is empty"),
         (np.zeros((0, 3)), np.zeros((0, 3)), "is empty"),
         (TRIANGLE[:, :2], [[0, 1, 2]], "expected vertices (n, 3)"),
@@ -184,6 +187,10 @@ def test_arrays_that_are_no_surface(vertices, faces, message):
         Mesh.from_arrays(vertices, faces, name="thing")
     assert str(caught.value).startswith("thing: ")
     assert message in str(caught.value)
+
+
+def test_whole_vertex_numbers_may_be_floats():
+    assert Mesh.from_arrays(TRIANGLE, [[0.0, 1.0, 2.0]]).faces[0].tolist() == [0, 1, 2]
 
 
 def test_degenerate_triangles_are_dropped():
@@ -265,6 +272,22 @@ def test_new_vertices_are_measured_again_where_they_are_known():
         mesh.with_vertices(mesh.vertices[:-1])
     with pytest.raises(SonarjaxError, match="vertices: hold NaN"):
         mesh.with_vertices(mesh.vertices.at[0, 0].set(jnp.nan))
+
+
+def test_a_mirrored_body_still_faces_outwards():
+    brick = objects.target()
+    mirrored = brick.with_vertices(brick.vertices * jnp.array([1.0, -1.0, 1.0]))
+    assert surface(mirrored).volume == pytest.approx(surface(brick).volume, rel=1e-5)
+    again = mirrored.with_vertices(brick.vertices)
+    np.testing.assert_array_equal(again.faces, brick.faces)
+    sheet = Mesh.from_arrays(TRIANGLE, [[0, 1, 2]])  # is seen from both sides
+    assert sheet.with_vertices(-sheet.vertices).faces is sheet.faces
+
+
+def test_new_vertices_of_a_stack_go_through_vmap():
+    stack = stack_meshes([objects.brick()] * 2)
+    moved = jax.vmap(lambda mesh: mesh.with_vertices(2 * mesh.vertices))(stack)
+    np.testing.assert_array_equal(moved.vertices, 2 * stack.vertices)
 
 
 def test_room_only_grows_and_not_beyond_the_faces():

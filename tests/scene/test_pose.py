@@ -63,6 +63,18 @@ def test_vmap_over_a_batch_of_poses():
         np.testing.assert_allclose(moved[i], single.to_ground(POINTS), atol=1e-6)
 
 
+@pytest.mark.parametrize("count", [2, 3])
+def test_a_batch_of_poses_has_a_rotation_each(count):
+    angles = jnp.linspace(0.1, 2.0, count)
+    batch = Pose(2.2, angles, yaw=angles, roll=-angles, pitch=angles / 2)
+    rotations, moved = batch.rotation(), batch.to_ground(POINTS)
+    assert rotations.shape == (count, 3, 3)
+    for i in range(count):
+        single = jax.tree.map(lambda leaf, i=i: leaf[i], batch)
+        np.testing.assert_allclose(rotations[i], single.rotation(), atol=1e-6)
+        np.testing.assert_allclose(moved[i], single.to_ground(POINTS), atol=1e-6)
+
+
 def test_gradient_equals_finite_differences():
     weights = jnp.asarray(np.random.default_rng(1).normal(size=(20, 3)), jnp.float32)
 

@@ -26,6 +26,17 @@ def test_a_single_beam_is_as_wide_as_its_beam_width():
     np.testing.assert_allclose(sonar.azimuth_edges, [0.09, 0.11], rtol=1e-5)
 
 
+def test_stacked_sonars_have_edges_each():
+    alone = [Sonar.preset("didson-hf", n_ranges=8, range_max=far) for far in (3.0, 3.5, 4.0)]
+    single = [one.replace(azimuth=one.azimuth[:1], beam_width=one.range_max / 100) for one in alone]
+    for sonars, beams in ((alone, 97), (single, 2)):
+        batch = jax.tree.map(lambda *v: jnp.stack([jnp.asarray(one) for one in v]), *sonars)
+        assert batch.azimuth_edges.shape == (3, beams) and batch.range_edges.shape == (3, 9)
+        for k, one in enumerate(sonars):
+            np.testing.assert_allclose(batch.azimuth_edges[k], one.azimuth_edges, rtol=1e-6)
+            np.testing.assert_allclose(batch.range_edges[k], one.range_edges, rtol=1e-6)
+
+
 def test_every_float_is_a_leaf_and_counts_are_static():
     sonar = Sonar.preset("didson-hf", floor=FloorPatch(2.0, 0.0, 1.0, 1.0))
     leaves = jax.tree.leaves(sonar)

@@ -115,6 +115,20 @@ def test_one_beam_is_as_wide_as_the_field_of_view():
     np.testing.assert_allclose(np.degrees(sonar.azimuth_edges), [-1, 1], rtol=1e-5)
 
 
+@pytest.mark.parametrize("beams", [{"n_beams": 1}, {"azimuth_deg": [0.0]}])
+def test_one_beam_is_as_wide_as_the_field_of_view_of_the_preset(beams):
+    sonar = sonar_from_dict({"preset": "didson-hf"} | beams, "s")
+    np.testing.assert_allclose(np.degrees(sonar.azimuth_edges), [-14.5, 14.5], rtol=1e-5)
+    narrow = sonar_from_dict({"preset": "didson-hf", "beam_width_deg": 2} | beams, "s")
+    np.testing.assert_allclose(np.degrees(narrow.azimuth_edges), [-1, 1], rtol=1e-5)
+
+
+def test_numbers_of_numpy_are_numbers():
+    given = {"preset": "didson-hf", "tilt_deg": np.float32(20), "height_m": np.int64(1), "n_ranges": np.int64(100)}
+    plain = sonar_from_dict({"preset": "didson-hf", "tilt_deg": 20, "height_m": 1, "n_ranges": 100}, "s")
+    assert_same(sonar_from_dict(given, "s"), plain)
+
+
 def test_floor_table(tmp_path):
     text = 'preset = "aris-3000"\n[floor]\nx_m = 1.8\ny_m = 0\nlength_m = 0.4\nwidth_m = 0.4\nyaw_deg = 90\n'
     floor = Sonar.from_toml(write(tmp_path / "s.toml", text)).floor
@@ -143,6 +157,9 @@ BAD = [
     ({"preset": 3}, "unknown preset 3"),
     ({"tilt_deg": "15"}, "tilt_deg must be a number, got '15'"),
     ({"tilt_deg": True}, "tilt_deg must be a number, got True"),
+    ({"tilt_deg": np.bool_(True)}, "tilt_deg must be a number, got "),
+    ({"n_ranges": np.float64(100)}, "n_ranges must be a whole number, got "),
+    ({"n_beams": 1, "beam_width_deg": 0}, "beam_width_deg must be more than 0° where there is a single beam"),
     ({"tilt_deg": [15.0]}, "tilt_deg must be a number, got [15.0]"),
     ({"tilt_deg": NAN}, "tilt_deg must be a finite number"),
     ({"height_m": INF}, "height_m must be a finite number"),

@@ -165,7 +165,7 @@ def test_what_cannot_be_used_is_one_clear_line(case):
         (lambda: sj.Standing(yaw_drift=math.nan), "yaw_drift: expected a number"),
         (lambda: sj.TrackConfig(misses=1.0), "between 0 and 1"),
         (lambda: sj.TrackConfig(softness=0.0), "expected positive numbers"),
-        (lambda: sj.TrackConfig(components=1), "expected components of 2 or more"),
+        (lambda: sj.TrackConfig(components=1), "components: expected a whole number of 2 or more"),
         (lambda: sj.Tracker(Reader()).take(None, elapsed=-1.0), "elapsed: expected a time of 0 or more"),
         (lambda: sj.Tracker(Reader()).recognize(GOOD[0], elapsed=-1.0), "elapsed: expected a time of 0 or more"),
         (lambda: sj.Tracker(Reader()).expected(elapsed=math.nan), "elapsed: expected a time of 0 or more"),
