@@ -19,7 +19,7 @@ from sonarjax.io.aris_beams import ARIS_1200, ARIS_1800, ARIS_3000, aris_azimuth
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.files import Content
 from sonarjax.io.frame import Frame, Geometry
-from sonarjax.io.header import RANGE_LIMIT_M, Fields, Header, angles
+from sonarjax.io.header import RANGE_LIMIT_M, Fields, Header, angles, time_stamp
 from sonarjax.io.naming import named
 from sonarjax.io.recording import Record, each_record, frames_of
 
@@ -204,6 +204,7 @@ def _meta(fields: dict[str, Any]) -> dict[str, Any]:
         "ping_mode": fields["PingMode"],
         "recorded_index": fields["FrameIndex"],
         "time_us": fields["FrameTime"],
+        **time_stamp(1000 * fields["FrameTime"]),
         "header_window_m": [fields["WindowStart"], fields["WindowLength"]],
         "compass_heading_deg": fields["CompassHeading"],
         "pan_deg": fields["SonarPan"],

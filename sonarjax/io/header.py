@@ -85,6 +85,13 @@ class Header:
 
 RANGE_LIMIT_M = 1000.0
 """No imaging sonar reaches farther [m]; a header that says so is corrupt."""
+TIME_LIMIT_NS = 2**31 * 10**9
+"""Times since 1970 stay below this [ns], in the year 2038: ROS messages hold no more seconds."""
+
+
+def time_stamp(time_ns: int) -> dict[str, int]:
+    """`time_ns` [ns since 1970] of a header; empty if the device wrote none or an impossible one."""
+    return {"time_ns": time_ns} if 0 < time_ns < TIME_LIMIT_NS else {}
 
 
 def angles(tilt: float, roll: float) -> dict[str, float]:
