@@ -135,6 +135,8 @@ def iter_records(spec: str | os.PathLike[str]) -> Iterator[Record]:
 def iter_frames(spec: str | os.PathLike[str]) -> Iterator[Frame]:
     """Yield frames one by one, so that only one is held in memory.
 
+    A damaged frame of a recording raises its error and ends the reading: `iter_records` goes on to the frames after it.
+
     Args:
         spec: Name of the frames, as for `read_frames`.
 
@@ -150,8 +152,9 @@ def iter_frames(spec: str | os.PathLike[str]) -> Iterator[Frame]:
 def read_frames(spec: str | os.PathLike[str]) -> list[Frame]:
     """Read all frames of a file, or one of them.
 
-    An unfinished last frame of a recording is left out. Frames of a sonar file are float32, four times the size of the
-    file's bytes: `iter_frames` holds one at a time.
+    An unfinished last frame of a recording is left out. A damaged frame raises its error: `iter_records` also gives the
+    others. Frames of a sonar file are float32, four times the size of the file's bytes: `iter_frames` holds one at a
+    time.
 
     Args:
         spec: `path` for all frames, or `path:N` for frame N, from 0. For a bag also `path:TOPIC` or `path:TOPIC:N`.
