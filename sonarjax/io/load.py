@@ -85,7 +85,7 @@ def split_spec(spec: str | os.PathLike[str]) -> Spec:
         return Spec(name, None)
     numbered = re.fullmatch(r"(.+):([0-9]{1,18})", name, re.DOTALL)
     path, number = (name, None) if numbered is None else (numbered[1], int(numbered[2]))
-    within = re.fullmatch(r"(.+):(/[^:]*)", path, re.DOTALL)
+    within = re.fullmatch(r"(.+):([^:]+)", path, re.DOTALL)
     if within is not None and is_bag(within[1]):
         return Spec(within[1], number, within[2])
     return Spec(path, number)

@@ -147,6 +147,7 @@ def test_what_cannot_be_found(tmp_path):
     for spec, said in [
         (path, f"{path}: topic: expected one topic of sonar images; the bag has /port, /starboard"),
         (f"{path}:/other", f"{path}: topic: expected a topic of sonar images, not '/other'; the bag has /port"),
+        (f"{path}:other:0", f"{path}: topic: expected a topic of sonar images, not 'other'; the bag has /port"),
         (f"{path}:/port:1", f"{path}:/port: frame 1: expected 0 to 0"),
         (str(tmp_path / "none.mcap"), f"{tmp_path / 'none.mcap'}: no such file"),
     ]:
@@ -154,6 +155,15 @@ def test_what_cannot_be_found(tmp_path):
             read_frames(spec)
         assert str(caught.value).startswith(said)
     assert len(read_frames(f"{path}:/starboard")) == 1
+
+
+@pytest.mark.parametrize("name", ["ts.mcap", "ts"])
+def test_a_topic_without_a_slash_can_be_named(tmp_path, name):
+    path = tmp_path / name
+    write_bag(path, [flat(), flat()], "image")
+    assert len(read_frames(f"{path}:image")) == 2
+    (frame,) = read_frames(f"{path}:image:1")
+    assert frame.source == f"{path}:image:1"
 
 
 @pytest.mark.parametrize("name", ["a.bag", "a.mcap", "run"])
