@@ -157,6 +157,12 @@ def test_what_cannot_be_found(tmp_path):
     assert len(read_frames(f"{path}:/starboard")) == 1
 
 
+def test_the_size_of_a_folder_is_that_of_its_files(tmp_path):
+    write_bag(tmp_path / "run", [flat()])
+    size = sum(file.stat().st_size for file in (tmp_path / "run").iterdir())
+    assert f" {size} bytes\n" in describe(tmp_path / "run")
+
+
 @pytest.mark.parametrize("name", ["ts.mcap", "ts"])
 def test_a_topic_without_a_slash_can_be_named(tmp_path, name):
     path = tmp_path / name
