@@ -108,6 +108,8 @@ CASES = {
     "network.labels(im[:, :, None])": ONE,
     "sj.load_segmenter('otsu').labels(im[:, :, None])": ONE,
     "network.semantic(im, im[1:] > 0)": "mask: expected the image's shape (64, 16), got (63, 16)",
+    "sj.io.write_bag(path + '.bag', Frame(im, None, 'a', 'a'))": "frames: expected frames one after another, such as",
+    "sj.io.write_bag(path + '.bag', ['f.npz'])": "frames[0]: expected a Frame, got 'f.npz'",
     # Numbers
     "sj.Pose(x='2.6')": "Pose: x: expected numbers, got '2.6'",
     "sj.Pose(yaw=None)": "Pose: yaw: expected numbers, got None",

@@ -1,9 +1,9 @@
 """The command `sonarjax`: render, recognize, segment, calibrate, dataset, train and more; returns an exit code.
 
-Exit codes: 0 done, identified or not; 1 a frame could not be read (the batch goes on); 2 arguments, mesh, TOML or
-output that cannot be used; 130 interrupted; 141 the program that read the output has gone. A wrong input gives one line
-on stderr. What only one command needs, such as drawing and training, is imported after its arguments are known to be
-good. Angles are in degrees here, inside in radians. Each command has a file here: `add` says what its arguments are,
+Exit codes: 0 done, identified or not; 1 a frame could not be read or used (the batch goes on); 2 arguments, mesh, TOML
+or output that cannot be used; 130 interrupted; 141 the program that read the output has gone. A wrong input gives one
+line on stderr. What only one command needs, such as drawing and training, is imported after its arguments are known to
+be good. Angles are in degrees here, inside in radians. Each command has a file here: `add` says what its arguments are,
 `run` does it.
 """
 
@@ -28,8 +28,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: Arguments, with the name of the command first; None means those of the process.
 
     Returns:
-        Exit code: 0 done, 1 a frame could not be read, 2 the input could not be used, 130 interrupted, 141 the program
-        that read the output has gone.
+        Exit code: 0 done, 1 a frame could not be read or used, 2 the input could not be used, 130 interrupted, 141 the
+        program that read the output has gone.
     """
     try:
         args = _parser().parse_args(argv)

@@ -17,7 +17,7 @@ FRAME_HELP = (
 )
 PICTURES = (".png", ".pdf", ".svg")
 """Endings of the pictures that `--png` may name: `save_figure` writes these formats."""
-EXITS = "exit codes: 0 done; 1 a frame could not be read; 2 arguments, mesh, TOML or output could not be used"
+EXITS = "exit codes: 0 done; 1 a frame could not be read or used; 2 arguments, mesh, TOML or output could not be used"
 
 
 class Parser(argparse.ArgumentParser):

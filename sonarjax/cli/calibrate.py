@@ -35,7 +35,7 @@ def add(commands: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the command and return its exit code.
+    """Run the command and return its exit code: 1 if a frame was left out because it could not be used.
 
     Raises:
         SonarjaxError: The input cannot be used.
@@ -50,12 +50,15 @@ def run(args: argparse.Namespace) -> int:
     check_free(args.free)
     sonar = Sonar.from_toml(args.sonar)
     mesh = load_mesh(args.target, sonar, args)
-    frames = []
+    frames, code = [], 0
     for name, frame in frames_for(sonar, args.frames, args.sonar):
         if isinstance(frame, Exception):
             complain(naming(name, frame))
-            return 1
-        frames.append(frame)
+            code = 1
+        else:
+            frames.append(frame)
+    if not frames:
+        return code
     images, masks = [frame.image for frame in frames], [frame.mask for frame in frames]
     found = calibrate(
         images, mesh, sonar, free=args.free, masks=masks, present=args.present, engine=usual_engine(),
@@ -67,4 +70,4 @@ def run(args: argparse.Namespace) -> int:
         from sonarjax.plot import plot_calibration, save_figure
 
         save_figure(plot_calibration(*compare_templates(found, images, mesh, sonar), sonar), args.png)
-    return 0
+    return code

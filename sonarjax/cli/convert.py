@@ -59,12 +59,18 @@ def run(args: argparse.Namespace) -> int:
     if args.out.lower().endswith((".bag", ".mcap")):
         if args.sonar is not None:
             raise SonarjaxError(f"--sonar: cannot be used with the bag {args.out!r} as --out")
+        damaged: list[SonarjaxError] = []
+
+        def report(error: SonarjaxError) -> None:
+            damaged.append(error)
+            complain(str(error))
+
         try:
-            say(to_bag(args.files, args.out, options))
+            say(to_bag(args.files, args.out, options, report))
         except UnreadableError as error:
             complain(str(error))
             return 1
-        return 0
+        return 1 if damaged else 0
     if len(args.files) > 1:
         raise SonarjaxError(f"--out: {args.out!r} holds one frame: expected one FILE, got {len(args.files)}")
     axes = None if args.sonar is None else _axes_of(args.sonar)

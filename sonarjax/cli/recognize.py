@@ -37,14 +37,15 @@ def add(commands: Any) -> None:
     command.add_argument("--no-refine", action="store_true", help="stop at the yaw bin, do not refine it")
     command.add_argument(
         "--threshold", metavar="T", type=correlation,
-        help="lowest score of an identified target (default: the segmenter's own)",
+        help="lowest score of an identified target (default: that of the segmenter's decision rule, or with "
+        "--no-refine the segmenter's own)",
     )  # fmt: skip
     command.add_argument(
         "--track", action="store_true", help="the frames are one sequence: find yaw and place from all so far"
     )
     command.add_argument(
-        "--motion", choices=("turning", "standing"), default="turning",
-        help="with --track, how the target may move from frame to frame (default: %(default)s)",
+        "--motion", choices=("turning", "standing"),
+        help="with --track, how the target may move from frame to frame (default: turning)",
     )  # fmt: skip
     command.add_argument("--cluster", metavar="WHERE", help=CLUSTER_HELP)
     add_mesh_options(command)
@@ -56,6 +57,8 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         SonarjaxError: The input cannot be used.
     """
+    if args.motion is not None and not args.track:
+        raise SonarjaxError("--motion: can only be used with --track")
     files = mesh_files(args.target, "--target")
     check_outputs({"--out": args.out}, (*args.frames, *files.values(), args.sonar, args.segmenter))
     if args.track and len(files) > 1:
@@ -82,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
         recognizer = Recognizer(targets, sonar, segmenter=segmenter, refine=refine, engine=engine)
     except SonarjaxError as error:
         raise SonarjaxError(naming(args.sonar, error)) from error
-    motion = Turning() if args.motion == "turning" else Standing()
+    motion = Standing() if args.motion == "standing" else Turning()
     tracker = Tracker(recognizer, motion, threshold=args.threshold) if args.track else None
     frames = frames_for(sonar, args.frames, args.sonar)
     if args.cluster is not None:

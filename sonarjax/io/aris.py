@@ -19,7 +19,7 @@ from sonarjax.io.aris_beams import ARIS_1200, ARIS_1800, ARIS_3000, aris_azimuth
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.files import Content
 from sonarjax.io.frame import Frame, Geometry
-from sonarjax.io.header import RANGE_LIMIT_M, Fields, Header, angles
+from sonarjax.io.header import RANGE_LIMIT_M, Fields, Header, angles, time_stamp
 from sonarjax.io.naming import named
 from sonarjax.io.recording import Record, each_record, frames_of
 
@@ -138,7 +138,8 @@ def parse_aris(data: Content, name: str, index: int | None = None) -> Iterator[F
 
     Raises:
         SonarjaxError: The signature, sizes, sound speed, sample period or range window cannot be used; no frame is
-            complete; a frame has another size; or the index is out of range.
+            complete; a frame has another size, or its samples are still in the order in which the device sent them; or
+            the index is out of range.
     """
     return frames_of(aris_records(data, name, index))
 
@@ -155,6 +156,10 @@ def _read(data: Content, name: str, layout: ArisLayout, number: int) -> Frame:
     _check_signature(header, fields["Version"])
     if _size(header, fields) != (layout.n_ranges, layout.n_beams):
         raise header.error("SamplesPerBeam, PingMode", f"expected {layout.n_ranges} x {layout.n_beams} as in frame 0")
+    if fields["ReorderedSamples"] == 0:
+        raise header.error(
+            "ReorderedSamples", "expected 1, got 0: the samples are in the device's order, not beam after beam"
+        )
     image = header.pixels(HEADER_BYTES, layout.n_ranges, layout.n_beams)
     meta = _meta(fields) | {"unfinished_bytes": layout.rest}
     return named(image, name, number, layout.n_frames, _geometry(header, fields, layout), meta)
@@ -204,8 +209,8 @@ def _meta(fields: dict[str, Any]) -> dict[str, Any]:
         "ping_mode": fields["PingMode"],
         "recorded_index": fields["FrameIndex"],
         "time_us": fields["FrameTime"],
+        **time_stamp(1000 * fields["FrameTime"]),
         "header_window_m": [fields["WindowStart"], fields["WindowLength"]],
         "compass_heading_deg": fields["CompassHeading"],
         "pan_deg": fields["SonarPan"],
-        "samples_reordered": fields["ReorderedSamples"] != 0,
     }

@@ -49,8 +49,9 @@ def write_atomic(path: PathLike, writer: Writer) -> None:
         target = Path(os.path.realpath(name))  # write the file that a link points to, and keep the link
         if target.is_dir():
             raise SonarjaxError(f"{name}: expected a file to write, this is a folder")
-        if target.exists() and not stat.S_ISREG(target.stat().st_mode):
-            with open(target, "wb") as file:
+        # By the given name: the path of /dev/stdout, a link, does not exist where stdout is a pipe.
+        if os.path.exists(name) and not stat.S_ISREG(os.stat(name).st_mode):
+            with open(name, "wb") as file:
                 writer(file)
         else:
             _write_aside(target, writer)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
 
 import numpy as np
 from jaxtyping import Float
@@ -16,7 +15,7 @@ from sonarjax.io.errors import SonarjaxError, UnreadableError
 from sonarjax.io.fan import fan_to_polar, polar_to_fan
 from sonarjax.io.fan_geometry import PictureBox, content_box, equal_beams, fan_around, fit_fan
 from sonarjax.io.frame import Frame
-from sonarjax.io.load import iter_frames, split_spec
+from sonarjax.io.load import iter_frames, iter_records, split_spec
 from sonarjax.io.ros import write_bag
 
 DARKEST = 1 / 255
@@ -105,33 +104,52 @@ def one_frame(spec: str) -> Frame:
     return frame
 
 
-def to_bag(specs: Sequence[str], out: str, options: FanOptions = FanOptions()) -> str:
+def to_bag(
+    specs: Sequence[str],
+    out: str,
+    options: FanOptions = FanOptions(),
+    report: Callable[[SonarjaxError], object] | None = None,
+) -> str:
     """Write all frames of several files as the sonar images of a ROS bag.
 
     Args:
         specs: Names of the frames (range, beam), as for `read_frames`.
         out: Bag to write, ending in .bag or .mcap.
         options: Must hold no option, because options are for fan pictures.
+        report: Called with the error of each damaged frame of a recording, which is left out of the bag. None: a
+            damaged frame is raised as an UnreadableError, and no bag is written.
 
     Returns:
         One line that says what was written.
 
     Raises:
-        UnreadableError: A frame cannot be read, see `read_frames`.
+        UnreadableError: A file cannot be read, see `read_frames`, or every frame is damaged. Then no bag is written.
         SonarjaxError: An option is given, or as `write_bag`.
     """
     for name in FanOptions.__dataclass_fields__:
         if _given(options, name):
             raise SonarjaxError(f"{_option(name)}: cannot be used with the bag {out!r} as --out")
-    count = write_bag(out, chain.from_iterable(map(_readable, specs)))
+    count = write_bag(out, _readable(specs, out, report))
     return f"{out}: {count} frame{'' if count == 1 else 's'}"
 
 
-def _readable(spec: str) -> Iterator[Frame]:
-    try:
-        yield from iter_frames(spec)
-    except SonarjaxError as error:
-        raise UnreadableError(str(error)) from error
+def _readable(specs: Sequence[str], out: str, report: Callable[[SonarjaxError], object] | None) -> Iterator[Frame]:
+    read, damaged = 0, 0
+    for spec in specs:
+        try:
+            for record in iter_records(spec):
+                if isinstance(record, Frame):
+                    read += 1
+                    yield record
+                elif report is None:
+                    raise record
+                else:
+                    damaged += 1
+                    report(record)
+        except SonarjaxError as error:
+            raise UnreadableError(str(error)) from error
+    if damaged and not read:
+        raise UnreadableError(f"{out}: not written, because no frame can be read")
 
 
 def convert(frame: Frame, out: str, options: FanOptions = FanOptions(), axes: PolarAxes | None = None) -> str:

@@ -9,7 +9,8 @@ an argument of the reader:
 
 Doubtful choices in the code:
 - stored beam 0 is assumed to be the rightmost, as in ARIS files, unless the file's `reverse` flag is set;
-- the sign of the tilt (assumed positive up, so `tilt_deg` is its negative) and that of the roll.
+- the sign of the tilt (assumed positive up, so `tilt_deg` is its negative) and that of the roll;
+- the time zone, which the file does not say: `time_ns` takes the date and time for UTC.
 
 Known and ignored: sonars with serial numbers under 19 use the classic windows whatever the flag says.
 """
@@ -18,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import numpy as np
@@ -25,7 +27,7 @@ from jaxtyping import Float64
 
 from sonarjax.io.files import Content
 from sonarjax.io.frame import Frame, Geometry
-from sonarjax.io.header import Fields, Header, angles
+from sonarjax.io.header import Fields, Header, angles, time_stamp
 from sonarjax.io.naming import named
 from sonarjax.io.recording import Record, each_record, frames_of
 
@@ -228,7 +230,8 @@ def _geometry(header: Header, fields: dict[str, Any], file: DidsonFile, tables: 
 
 
 def _meta(header: Header, fields: dict[str, Any], file: DidsonFile) -> dict[str, Any]:
-    year, month, day, hour, minute, second, hundredth = header.unpack("7i", 20, "date and time")
+    *date, hundredth = header.unpack("7i", 20, "date and time")
+    year, month, day, hour, minute, second = date
     return {
         "format": f"DIDSON (DDF_0{file.version}, read without a real file to check against)",
         "stored_scale": "u8",
@@ -236,6 +239,18 @@ def _meta(header: Header, fields: dict[str, Any], file: DidsonFile) -> dict[str,
         "serial": file.serial,
         "reverse": file.reverse,
         "time": f"{year:04d}-{month:02d}-{day:02d} {hour:02d}:{minute:02d}:{second:02d}.{hundredth:02d}",
+        **_time_stamp(date, 10_000 * hundredth),
         "configflags": fields["configflags"],
         "pan_deg": fields["pan"],
     }
+
+
+def _time_stamp(date: list[int], microsecond: int) -> dict[str, int]:
+    """`time_ns` of a date of year, month, day, hour, minute and second; empty if there is no such time."""
+    year, month, day, hour, minute, second = date
+    try:
+        time = datetime(year, month, day, hour, minute, second, microsecond, UTC)
+        passed = time - datetime(1970, 1, 1, tzinfo=UTC)
+    except (ValueError, OverflowError):
+        return {}
+    return time_stamp(1000 * (passed // timedelta(microseconds=1)))

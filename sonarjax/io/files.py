@@ -1,17 +1,53 @@
-"""Content of files, read or mapped, with a clear error if there is no readable file with something in it."""
+"""Content of files, read at once or part by part, with a clear error if there is no readable file with content."""
 
 from __future__ import annotations
 
-import mmap
 import os
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import BinaryIO
 
 from sonarjax.io.errors import SonarjaxError
 
-Content = bytes | mmap.mmap
-"""A file's content: read completely, or mapped, so that only the parts in use take memory."""
+
+class FileContent:
+    """Content of an open file, of which parts are read when they are used: a file may be larger than the memory.
+
+    It is not memory-mapped: then a file that another program shortens would end this process without a word.
+    """
+
+    def __init__(self, file: BinaryIO, name: str) -> None:
+        self._file, self._name = file, name
+        self._size = os.fstat(file.fileno()).st_size
+
+    def __len__(self) -> int:
+        return self._size
+
+    def __getitem__(self, part: slice) -> bytes:
+        """Bytes of the file. Raises SonarjaxError if the file has become shorter, or cannot be read any more."""
+        start, stop, _ = part.indices(self._size)
+        wanted = max(0, stop - start)
+        with _explained(self._name):
+            self._file.seek(start)
+            found = self._file.read(wanted)
+        if len(found) < wanted:
+            raise SonarjaxError(f"{self._name}: became shorter while it was read: expected {stop} bytes or more")
+        return found
+
+    def find(self, wanted: bytes, start: int, end: int | None = None) -> int:
+        """As `bytes.find`. The pieces that are searched double in size: what is near is found without much reading."""
+        end, piece = self._size if end is None else min(end, self._size), 2**12
+        while start < end:
+            at = self[start : min(start + piece + len(wanted) - 1, end)].find(wanted)
+            if at >= 0:
+                return start + at
+            start, piece = start + piece, min(2 * piece, 2**20)
+        return -1
+
+
+Content = bytes | FileContent
+"""A file's content: read completely, or read where it is used."""
 
 
 def reason(error: Exception) -> str:
@@ -47,8 +83,9 @@ def check_size(name: str, size: int, limit: int) -> None:
         )
 
 
-def map_bytes(path: str | os.PathLike[str]) -> mmap.mmap:
-    """Map a file of any size read-only: its parts are read from the disk when they are used.
+@contextmanager
+def open_content(path: str | os.PathLike[str]) -> Iterator[FileContent]:
+    """Open a file of any size: its parts are read from the disk when they are used.
 
     Raises:
         SonarjaxError: The file is missing, a folder, a device, unreadable or empty.
@@ -57,8 +94,9 @@ def map_bytes(path: str | os.PathLike[str]) -> mmap.mmap:
     with _explained(name):
         if _regular_size(name) == 0:
             raise SonarjaxError(f"{name}: the file is empty")
-        with open(name, "rb") as file:
-            return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        file = open(name, "rb")  # noqa: SIM115
+    with file:
+        yield FileContent(file, name)
 
 
 def read_bytes(path: str | os.PathLike[str], allow_empty: bool = False, limit: int | None = None) -> bytes:

@@ -33,9 +33,11 @@ class Frame:
     mask: Bool[np.ndarray, "range beam"] | None
     """True where the pixel was measured, shape (range, beam); None means everywhere."""
     source: str
-    """The name that reads this frame again: `path`, or `path:N` for a file of several frames."""
+    """The name that reads this frame again: `path`; `path:N` for a file of several frames; `path:TOPIC:N` for a bag."""
     stem: str
-    """Stem for the names of output files: that of the file, with `_N` for a file of several frames."""
+    """Stem for the names of output files: that of the file, with `_N` for a file of several frames, and with the topic
+    and `_N` for a bag.
+    """
     geometry: Geometry | None = None
     """What the file says of the sonar, under the keys of `sonar.toml` ([m], [m/s], [Hz], `_deg`: [deg]).
 
@@ -44,7 +46,10 @@ class Frame:
     sound_speed_m_s, frequency_hz, elevation_aperture_deg.
     """
     meta: dict[str, Any] = field(default_factory=dict)
-    """What else the header says: `format`, `frame_index`, `n_frames`, `stored_scale` and fields of the format."""
+    """What else the header says: `format`, `frame_index`, `n_frames`, `stored_scale` and fields of the format.
+
+    `time_ns` is when the frame was taken [ns since 1970], where an ARIS, a DIDSON or a bag says so.
+    """
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -43,16 +43,14 @@ class Header:
         start, size = self.base + offset, struct.calcsize("<" + layout)
         if start + size > len(self.data):
             raise self.error(field, f"truncated: expected {start + size} bytes or more, the file has {len(self.data)}")
-        return struct.unpack_from("<" + layout, self.data, start)
+        return struct.unpack("<" + layout, self.data[start : start + size])
 
     def fields(self, table: Fields, size: int) -> dict[str, Any]:
         """Every field of `table` in a header of `size` bytes. Raises SonarjaxError if the file ends inside it."""
         if self.base + size > len(self.data):
             raise self.error("header", f"truncated: expected {self.base + size} bytes, the file has {len(self.data)}")
-        return {
-            name: struct.unpack_from("<" + code, self.data, self.base + offset)[0]
-            for name, (offset, code) in table.items()
-        }
+        held = self.data[self.base : self.base + size]
+        return {name: struct.unpack_from("<" + code, held, offset)[0] for name, (offset, code) in table.items()}
 
     def count(self, value: int, field: str, largest: int) -> int:
         """Return `value` if it is between 1 and `largest`, else raise SonarjaxError."""
@@ -79,12 +77,19 @@ class Header:
                 "samples",
                 f"truncated: expected {end} bytes for {n_ranges} x {n_beams} samples, the file has {len(self.data)}",
             )
-        samples = np.frombuffer(self.data, stored, n_ranges * n_beams, start).reshape(n_ranges, n_beams)
+        samples = np.frombuffer(self.data[start:end], stored).reshape(n_ranges, n_beams)
         return samples.astype(np.float32) / np.float32(np.iinfo(stored).max)
 
 
 RANGE_LIMIT_M = 1000.0
 """No imaging sonar reaches farther [m]; a header that says so is corrupt."""
+TIME_LIMIT_NS = 2**31 * 10**9
+"""Times since 1970 stay below this [ns], in the year 2038: ROS messages hold no more seconds."""
+
+
+def time_stamp(time_ns: int) -> dict[str, int]:
+    """`time_ns` [ns since 1970] of a header; empty if the device wrote none or an impossible one."""
+    return {"time_ns": time_ns} if 0 < time_ns < TIME_LIMIT_NS else {}
 
 
 def angles(tilt: float, roll: float) -> dict[str, float]:

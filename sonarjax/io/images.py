@@ -22,13 +22,13 @@ ROUNDING = 1e-6
 
 
 def unit_image(values: np.ndarray, name: str) -> Float32[np.ndarray, "range beam"]:
-    """An image (range, beam) as float32 in [0, 1]: integers divided by the maximum of their type, floats unchanged.
+    """An image (range, beam) as float32 in [0, 1]: uint8 and uint16 divided by their maximum, floats unchanged.
 
-    64-bit integers are refused: they come from a careless `astype(int)`, and divided by 2^63 the image would be black.
+    Other integers are refused: they come from arithmetic, and divided by their maximum the image would be black.
 
     Raises:
-        SonarjaxError: The shape is not (range, beam) or is empty; the type is not a number; integers are negative; or
-            floats are NaN, infinite or outside [0, 1] by more than rounding.
+        SonarjaxError: The shape is not (range, beam) or is empty; the type is not a number, or an integer other than
+            uint8 and uint16; or floats are NaN, infinite or outside [0, 1] by more than rounding.
     """
     if values.ndim != 2 or values.size == 0:
         raise SonarjaxError(f"{name}: image: expected a shape (range, beam) that is not empty, got {values.shape}")
@@ -45,10 +45,9 @@ def unit_image(values: np.ndarray, name: str) -> Float32[np.ndarray, "range beam
 
 
 def _unit_integers(values: np.ndarray, name: str) -> Float32[np.ndarray, "range beam"]:
-    if values.dtype.itemsize > 4:
-        raise SonarjaxError(f"{name}: image: dtype: expected 8, 16 or 32 bits or float, got {values.dtype}")
-    if values.min() < 0:
-        raise SonarjaxError(f"{name}: image: expected values of 0 or more, got {values.min()}")
+    if values.dtype.kind != "u" or values.dtype.itemsize > 2:
+        hint = "convert it to the type whose maximum is white"
+        raise SonarjaxError(f"{name}: image: dtype: expected uint8, uint16 or float, got {values.dtype}: {hint}")
     return values.astype(np.float32) / np.float32(np.iinfo(values.dtype).max)
 
 

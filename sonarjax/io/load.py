@@ -10,7 +10,7 @@ from typing import NamedTuple
 from sonarjax.io.aris import aris_records
 from sonarjax.io.didson import didson_records
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.io.files import Content, map_bytes, read_bytes
+from sonarjax.io.files import Content, open_content, read_bytes
 from sonarjax.io.frame import Frame
 from sonarjax.io.images import parse_npy_frame, parse_npz_frame, parse_png_frame
 from sonarjax.io.oculus import oculus_records
@@ -26,9 +26,14 @@ def _picture(parse: Callable[[bytes, str, int | None], Iterator[Frame]]) -> Open
     return lambda path, index: parse(read_bytes(path, limit=PICTURE_LIMIT), path, index)
 
 
-def _mapped(records: Callable[[Content, str, int | None], Iterator[Record]]) -> Opener:
-    """A recording, mapped because it may be larger than the memory."""
-    return lambda path, index: records(map_bytes(path), path, index)
+def _recording(records: Callable[[Content, str, int | None], Iterator[Record]]) -> Opener:
+    """A recording, read frame by frame because it may be larger than the memory."""
+
+    def opener(path: str, index: int | None) -> Iterator[Record]:
+        with open_content(path) as content:
+            yield from records(content, path, index)
+
+    return opener
 
 
 PICTURES: dict[str, Opener] = {
@@ -38,10 +43,10 @@ PICTURES: dict[str, Opener] = {
 }
 """File ending of a single frame -> `open(path, index)`, which gives its records."""
 RECORDINGS: dict[str, Opener] = {
-    ".aris": _mapped(aris_records),
-    ".ddf": _mapped(didson_records),
-    ".raw": _mapped(oculus_records),
-    ".oculus": _mapped(oculus_log_records),
+    ".aris": _recording(aris_records),
+    ".ddf": _recording(didson_records),
+    ".raw": _recording(oculus_records),
+    ".oculus": _recording(oculus_log_records),
 }
 """File ending of a recording that may hold several frames -> `open(path, index)`, which gives its records."""
 ENDINGS = (*PICTURES, *RECORDINGS, *BAGS)
@@ -80,7 +85,7 @@ def split_spec(spec: str | os.PathLike[str]) -> Spec:
         return Spec(name, None)
     numbered = re.fullmatch(r"(.+):([0-9]{1,18})", name, re.DOTALL)
     path, number = (name, None) if numbered is None else (numbered[1], int(numbered[2]))
-    within = re.fullmatch(r"(.+):(/[^:]*)", path, re.DOTALL)
+    within = re.fullmatch(r"(.+):([^:]+)", path, re.DOTALL)
     if within is not None and is_bag(within[1]):
         return Spec(within[1], number, within[2])
     return Spec(path, number)
@@ -123,12 +128,14 @@ def iter_records(spec: str | os.PathLike[str]) -> Iterator[Record]:
     opener = PICTURES.get(ending) or RECORDINGS.get(ending)
     if opener is not None:
         return opener(path, number)
-    map_bytes(path)  # reports a folder or a missing file, whatever its ending
-    raise SonarjaxError(f"{path}: unknown ending {ending!r}: expected one of {', '.join(ENDINGS)}")
+    with open_content(path):  # reports a folder or a missing file, whatever its ending
+        raise SonarjaxError(f"{path}: unknown ending {ending!r}: expected one of {', '.join(ENDINGS)}")
 
 
 def iter_frames(spec: str | os.PathLike[str]) -> Iterator[Frame]:
     """Yield frames one by one, so that only one is held in memory.
+
+    A damaged frame of a recording raises its error and ends the reading: `iter_records` goes on to the frames after it.
 
     Args:
         spec: Name of the frames, as for `read_frames`.
@@ -145,8 +152,9 @@ def iter_frames(spec: str | os.PathLike[str]) -> Iterator[Frame]:
 def read_frames(spec: str | os.PathLike[str]) -> list[Frame]:
     """Read all frames of a file, or one of them.
 
-    An unfinished last frame of a recording is left out. Frames of a sonar file are float32, four times the size of the
-    file's bytes: `iter_frames` holds one at a time.
+    An unfinished last frame of a recording is left out. A damaged frame raises its error: `iter_records` also gives the
+    others. Frames of a sonar file are float32, four times the size of the file's bytes: `iter_frames` holds one at a
+    time.
 
     Args:
         spec: `path` for all frames, or `path:N` for frame N, from 0. For a bag also `path:TOPIC` or `path:TOPIC:N`.

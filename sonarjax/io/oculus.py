@@ -109,7 +109,6 @@ def oculus_starts(data: Content, name: str) -> list[int | SonarjaxError]:
         if starts and position + FIRE_AT > len(data):
             break  # the recording was cut off here
         magic, _, _, kind, _, payload, _ = header.unpack(MESSAGE, 0, "message header")
-        complete = position + FIRE_AT + payload <= len(data)
         if magic != MAGIC:
             error = header.error("id", f"expected 0x{MAGIC:04x} (Oculus), got 0x{magic:04x}")
             if not starts:
@@ -117,12 +116,18 @@ def oculus_starts(data: Content, name: str) -> list[int | SonarjaxError]:
             starts.append(error)
             position = _next_message(data, position + 1)
             continue
-        if kind == SIMPLE_PING and complete:
-            starts.append(position)
-        elif not complete and not starts:
+        end = position + FIRE_AT + payload
+        if end > len(data):  # unfinished, or its size is wrong: then another ping follows
             there = len(data) - position - FIRE_AT
-            raise header.error("payload", f"truncated: expected {payload} bytes, got {there}")
-        position += FIRE_AT + payload
+            error = header.error("payload", f"truncated: expected {payload} bytes, got {there}")
+            end = _next_message(data, position + 1)
+            if end < len(data):
+                starts.append(error)
+            elif not starts:
+                raise error
+        elif kind == SIMPLE_PING:
+            starts.append(position)
+        position = end
     if not starts:
         raise Header(data, name).error("message", f"expected a ping result (0x{SIMPLE_PING:02x}), found none")
     return starts
@@ -133,7 +138,7 @@ def _next_message(data: Content, start: int) -> int:
     position = start
     while (position := data.find(struct.pack("<H", MAGIC), position)) >= 0:
         if position + FIRE_AT <= len(data):
-            kind, _, payload = struct.unpack_from("<HHI", data, position + 6)
+            kind, _, payload = struct.unpack("<HHI", data[position + 6 : position + 14])
             if kind == SIMPLE_PING and position + FIRE_AT + payload <= len(data):
                 return position
         position += 1

@@ -13,6 +13,7 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.files import Content
 from sonarjax.io.frame import Frame
 from sonarjax.io.header import Header
@@ -21,6 +22,8 @@ from sonarjax.io.recording import Record, each_record, frames_of
 
 FILE_MAGIC, ITEM_MAGIC = 0x11223344, 0xAABBCCDD
 FILE_HEADER, ITEM_HEADER = "II16sHH4xqd", "IIHH4xdH2xII4x"
+LEAST = struct.calcsize("<" + ITEM_HEADER)
+"""Smallest size that an item's header can have [bytes]."""
 SONAR_ITEM = 10
 """Kind of an item whose payload is a packet from the sonar."""
 PACKET_LIMIT = 2**28
@@ -66,40 +69,59 @@ def oculus_log_records(data: Content, name: str, index: int | None = None) -> It
     pings = _pings(data, name)
 
     def read(number: int) -> Frame:
-        packet = _packet(Header(data, name, pings[number].payload_at, f"ping {number}"), pings[number])
+        ping = pings[number]
+        if isinstance(ping, SonarjaxError):
+            raise ping
+        packet = _packet(Header(data, name, ping.payload_at, f"ping {number}"), ping)
         return read_ping(Header(packet, name, 0, f"ping {number}"), name, number, len(pings))
 
     yield from each_record(name, len(pings), index, read)
 
 
-def _pings(data: Content, name: str) -> list[LogItem]:
-    """The complete items that hold a ping. One that is still being written at the end of the log is left out."""
+def _pings(data: Content, name: str) -> list[LogItem | SonarjaxError]:
+    """The complete items that hold a ping, and in place of a damaged item its error.
+
+    One that is still being written at the end of the log is left out.
+    """
     file = Header(data, name)
     magic, size, _, _, encryption, _, _ = file.unpack(FILE_HEADER, 0, "file header")
     if magic != FILE_MAGIC:
         raise file.error("file header", f"expected 0x{FILE_MAGIC:08x} (Oculus log), got 0x{magic:08x}")
     if encryption:
         raise file.error("encryption", f"expected 0 (none), got {encryption}")
-    pings, position, least = [], max(size, struct.calcsize("<" + FILE_HEADER)), struct.calcsize("<" + ITEM_HEADER)
-    while position + least <= len(data):
+    pings: list[LogItem | SonarjaxError] = []
+    position = max(size, struct.calcsize("<" + FILE_HEADER))
+    while position + LEAST <= len(data):
         item = Header(data, name, position, f"item at byte {position}")
         magic, size, kind, _, _, compression, original, stored = item.unpack(ITEM_HEADER, 0, "item header")
-        if magic != ITEM_MAGIC or size < least:
-            position = _next_item(data, position + 1)  # only the damaged item is lost, not what follows
-            continue
-        found = LogItem(position + size, stored, original, compression == 1)
-        position += size + stored
-        if kind == SONAR_ITEM and position <= len(data) and _is_ping(data, found):
-            pings.append(found)
-    if not pings:
+        found, end = LogItem(position + size, stored, original, compression == 1), position + size + stored
+        intact = magic == ITEM_MAGIC and size >= LEAST
+        if intact and end <= len(data):
+            if kind == SONAR_ITEM and _is_ping(data, found):
+                pings.append(found)
+        else:
+            end = _next_item(data, position + 1)  # only the damaged item is lost, not what follows
+            if end < len(data) or not intact:  # else it is unfinished
+                got = f"0x{magic:08x}, {size} and {stored} bytes"
+                expected = f"expected id 0x{ITEM_MAGIC:08x}, {LEAST} bytes or more and a payload in the file, got {got}"
+                pings.append(item.error("item header", expected))
+        position = end
+    if not any(isinstance(ping, LogItem) for ping in pings):
         raise file.error("items", f"expected a complete ping (kind {SONAR_ITEM}), found none")
     return pings
 
 
 def _next_item(data: Content, start: int) -> int:
-    """Position [bytes] of the next item's magic number at or after `start`; the end of the log if there is none."""
-    found = data.find(struct.pack("<I", ITEM_MAGIC), start)
-    return len(data) if found < 0 else found
+    """Position [bytes] of the next complete item at or after `start`; the end of the log if there is none."""
+    position = start
+    while (position := data.find(struct.pack("<I", ITEM_MAGIC), position)) >= 0:
+        head = data[position : position + LEAST]
+        if len(head) == LEAST:
+            _, size, *_, stored = struct.unpack("<" + ITEM_HEADER, head)
+            if size >= LEAST and position + size + stored <= len(data):
+                return position
+        position += 1
+    return len(data)
 
 
 def _is_ping(data: Content, item: LogItem) -> bool:
@@ -108,7 +130,7 @@ def _is_ping(data: Content, item: LogItem) -> bool:
         return True  # the viewer compresses only pings, and unpacking here would take as long as reading
     if item.payload_size < FIRE_AT:
         return False
-    return bool(struct.unpack_from("<HHHH", data, item.payload_at)[3] == SIMPLE_PING)
+    return bool(struct.unpack("<HHHH", data[item.payload_at : item.payload_at + 8])[3] == SIMPLE_PING)
 
 
 def _packet(header: Header, item: LogItem) -> Content:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.files import reason
@@ -15,14 +16,15 @@ from sonarjax.io.ros import is_bag
 def check_outputs(outputs: Mapping[str, str | None], inputs: Iterable[str]) -> None:
     """Check, before anything is written, that no output would replace an input or another output.
 
-    Links are followed. A device such as /dev/null may be given twice.
+    Nor may it lie in the folder of a bag that is read. Links are followed. A device such as /dev/null may be given
+    twice.
 
     Args:
         outputs: Command-line option -> path that was given for it; None if it was not given.
         inputs: Paths, or frames as `path:N`.
 
     Raises:
-        SonarjaxError: An output would replace an input or another output.
+        SonarjaxError: An output would replace an input or another output, or lie in an input's folder.
     """
     given = [(option, path) for option, path in outputs.items() if path is not None]
     sources = [split_spec(spec).path for spec in inputs]
@@ -30,6 +32,8 @@ def check_outputs(outputs: Mapping[str, str | None], inputs: Iterable[str]) -> N
         for source in sources:
             if same_file(path, source):
                 raise SonarjaxError(f"{option}: {path!r} would overwrite the input {source!r}: expected another file")
+            if _in_bag(path, source):
+                raise SonarjaxError(f"{option}: {path!r} lies in the input {source!r}: expected another folder")
         for other, taken in given[:number]:
             if same_file(path, taken):
                 raise SonarjaxError(f"{option}: {path!r} is also {other}: expected another file")
@@ -110,6 +114,15 @@ def _stem(path: str) -> str:
 
 def _is_recording(path: str) -> bool:
     return os.path.splitext(path)[1].lower() in RECORDINGS or is_bag(path)
+
+
+def _in_bag(path: str, source: str) -> bool:
+    """True if `path` lies in the folder of a bag, `source`."""
+    try:
+        is_folder = os.path.isdir(source) and is_bag(source)
+        return is_folder and Path(os.path.realpath(path)).is_relative_to(os.path.realpath(source))
+    except (OSError, ValueError):  # an impossible path: whoever opens it will report it
+        return False
 
 
 def _is_device(path: str) -> bool:

@@ -23,8 +23,8 @@ def png_size(data: bytes, name: str) -> tuple[int, int]:
     """Height and width of a PNG [pixels], from its first chunk.
 
     Raises:
-        SonarjaxError: The magic number or header is wrong, or there are more pixels than `PIXEL_LIMIT` or than the file
-            can hold.
+        SonarjaxError: The magic number or header is wrong, there are more pixels than `PIXEL_LIMIT` or than the file
+            can hold, or samples of colour or transparency have 16 bits, which the decoder would cut to 8.
     """
     if data[:8] != PNG_MAGIC:
         raise SonarjaxError(f"{name}: expected a PNG file, this is none")
@@ -35,6 +35,8 @@ def png_size(data: bytes, name: str) -> tuple[int, int]:
         raise SonarjaxError(f"{name}: size: expected at least 1 x 1 pixels, got {height} x {width}")
     if colour not in CHANNELS or depth not in (1, 2, 4, 8, 16):
         raise SonarjaxError(f"{name}: header: unknown colour type {colour} with {depth} bits")
+    if depth == 16 and colour != 0:
+        raise SonarjaxError(f"{name}: header: got 16-bit colour or transparency: save it as 16-bit grey")
     if width * height > PIXEL_LIMIT:
         raise SonarjaxError(f"{name}: size: expected at most {PIXEL_LIMIT} pixels, got {height} x {width}")
     if width * height * depth * CHANNELS[colour] // 8 > DEFLATE_RATIO * len(data):
@@ -68,9 +70,12 @@ def parse_png(data: bytes, name: str) -> UInt[np.ndarray, "range beam"]:
             if picture.size != (width, height):  # a second header would bypass the limit
                 raise ValueError("two headers")
             values = _decode(picture)
+            transparent = values.ndim == 2 and "transparency" in picture.info
     except Exception as error:  # on corrupt chunks a decoder may raise nearly anything
         text = " ".join(str(error).split())[:120] or type(error).__name__
         raise SonarjaxError(f"{name}: cannot be decoded as PNG: {text}") from error
+    if transparent:
+        raise SonarjaxError(f"{name}: expected a grey, opaque picture, got one grey value that is transparent (tRNS)")
     if values.ndim == 3:
         grey = values[..., 0]
         if (values[..., :3] != grey[..., None]).any() or (values[..., 3:] != 255).any():

@@ -19,6 +19,8 @@ from typing import Any
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.files import reason
 from sonarjax.io.frame import Frame
+from sonarjax.io.given import check_kind, is_number, shown
+from sonarjax.io.header import TIME_LIMIT_NS
 from sonarjax.io.recording import Record
 from sonarjax.io.ros_messages import DEFINITIONS, MESSAGE, PACKAGE, frame_fields, is_sonar_image, message_frame
 
@@ -87,10 +89,12 @@ def bag_records(path: str, topic: str | None = None, index: int | None = None) -
 def write_bag(path: str | os.PathLike[str], frames: Iterable[Frame], topic: str = TOPIC) -> int:
     """Write frames as the sonar images of a ROS bag.
 
-    Values are rounded to 16 bits. A frame whose `meta` has no `time_s` gets the time of its number times 0.1 s.
+    Values are rounded to 16 bits. A frame's time is `time_ns` [ns] of its `meta`, or else `time_s` [s], both since
+    1970. A frame without either comes 0.1 s after the latest before it; the first such frame of all has the time 0.
 
     Args:
-        path: A file ending in .bag (ROS 1) or .mcap (ROS 2), or the new folder of a ROS 2 bag.
+        path: A file ending in .bag (ROS 1) or .mcap (ROS 2), or the new folder of a ROS 2 bag. If it is a link, the bag
+            that it points to is written, and the link is kept.
         frames: Frames (range, beam), with their geometry.
         topic: Topic to which they are written.
 
@@ -98,39 +102,60 @@ def write_bag(path: str | os.PathLike[str], frames: Iterable[Frame], topic: str 
         The number of frames.
 
     Raises:
-        SonarjaxError: The folder exists, the path cannot be written, `rosbags` is not installed, a frame's geometry is
-            not known, or a frame has pixels that were not measured. Then nothing is left behind, and what was there
-            before is kept.
+        SonarjaxError: The folder exists, the path cannot be written or ends in .db3, `rosbags` is not installed, a
+            frame's geometry is not known or does not fit its image, its time cannot be expressed, or a frame has pixels
+            that were not measured. Then nothing is left behind, and what was there before is kept.
     """
-    target = Path(path)
-    ending = target.suffix.lower()
+    name, target = os.fspath(path), Path(os.path.realpath(path))  # write what a link points to, and keep the link
+    ending = os.path.splitext(name)[1].lower()
+    if ending == ".db3":
+        raise SonarjaxError(f"{name}: expected a name that ends in .bag or .mcap, or that of a new folder")
+    if not isinstance(frames, Iterable):
+        raise SonarjaxError(f"frames: expected frames one after another, such as a list, got {shown(frames)}")
     if ending not in (".bag", ".mcap") and target.exists():
-        raise SonarjaxError(f"{target}: expected a folder that does not exist yet")
-    if not target.absolute().parent.is_dir():  # the writer of ROS 2 bags would make it
-        raise SonarjaxError(f"{target}: cannot be written: no such folder {target.parent}")
-    partial = target.with_name(f".{target.name}.{secrets.token_hex(6)}.part")
+        raise SonarjaxError(f"{name}: expected a folder that does not exist yet")
+    if not target.parent.is_dir():
+        raise SonarjaxError(f"{name}: cannot be written: no such folder {os.path.dirname(name)}")
+    aside = target.with_name(f".sonarjax-{secrets.token_hex(6)}.tmp")
+    partial = aside / target.name  # the file inside a ROS 2 bag's folder is named after the folder
     try:
+        aside.mkdir()
         count = _write(partial, frames, topic, ending == ".bag")
         os.replace(next(partial.glob("*.mcap")) if ending == ".mcap" else partial, target)
     except OSError as error:
-        raise SonarjaxError(f"{target}: cannot be written: {reason(error)}") from error
+        raise SonarjaxError(f"{name}: cannot be written: {reason(error)}") from error
     finally:
-        shutil.rmtree(partial, ignore_errors=True) if partial.is_dir() else partial.unlink(missing_ok=True)
+        shutil.rmtree(aside, ignore_errors=True)
     return count
 
 
 def _write(path: Path, frames: Iterable[Frame], topic: str, ros1: bool) -> int:
     writer, store = _writer(path, ros1)
-    msgtype, count = f"{PACKAGE}/msg/{MESSAGE}", 0
+    msgtype, count, latest = f"{PACKAGE}/msg/{MESSAGE}", 0, -STEP_NS
     with writer:
         connection = writer.add_connection(topic, msgtype, typestore=store)
         serialize = store.serialize_ros1 if ros1 else store.serialize_cdr
         for frame in frames:
-            stated = frame.meta.get("time_s")
-            time_ns = count * STEP_NS if stated is None else round(stated * 1e9)
+            check_kind(frame, Frame, f"frames[{count}]")
+            stated = _stated_ns(frame)
+            time_ns = latest + STEP_NS if stated is None else stated
+            latest = max(latest, time_ns)
             writer.write(connection, time_ns, serialize(_message(store, frame, time_ns, count, ros1), msgtype))
             count += 1
     return count
+
+
+def _stated_ns(frame: Frame) -> int | None:
+    """The time of a frame [ns]; None if it has none. Raises SonarjaxError for one that a message cannot express."""
+    for key, unit in (("time_ns", 1), ("time_s", 10**9)):
+        value = frame.meta.get(key)
+        if value is None:
+            continue
+        if not is_number(value) or not 0 <= float(value) * unit < TIME_LIMIT_NS:
+            expected = f"expected a number from 0 to {TIME_LIMIT_NS / unit:g}"
+            raise SonarjaxError(f"{frame.source}: {key}: {expected}, got {shown(value)}")
+        return int(value) if unit == 1 else round(float(value) * unit)
+    return None
 
 
 @contextmanager

@@ -92,6 +92,7 @@ def message_frame(message: Any, name: str, stem: str, number: int) -> Frame:
         "stored_scale": np.dtype(DTYPES[message.image.dtype]).name,
         "frame_id": message.header.frame_id,
         "time_s": stamp.sec + 1e-9 * stamp.nanosec,
+        "time_ns": stamp.sec * 10**9 + stamp.nanosec,
     }
     frame = named(np.ascontiguousarray(image[:, order]), name, number, 1, geometry, meta)
     return Frame(frame.image, None, name, stem, geometry, meta | {"frame_index": number})
@@ -101,7 +102,8 @@ def frame_fields(frame: Frame, time_ns: int) -> SimpleNamespace:
     """The fields of a message for a frame (range, beam), as plain values from which any message class can be filled.
 
     Raises:
-        SonarjaxError: The frame's geometry is not known, or a pixel was not measured, which a message cannot express.
+        SonarjaxError: The frame's geometry is not known or does not fit the image, or a pixel was not measured, which a
+            message cannot express.
     """
     geometry = frame.geometry or {}
     for key in ("azimuth_deg", "range_min_m", "range_max_m"):
@@ -111,6 +113,10 @@ def frame_fields(frame: Frame, time_ns: int) -> SimpleNamespace:
         raise SonarjaxError(f"{frame.source}: mask: expected a frame without unmeasured pixels")
     azimuth = np.radians(np.asarray(geometry["azimuth_deg"], np.float64))
     n_ranges, n_beams = frame.shape
+    if azimuth.shape != (n_beams,):
+        raise SonarjaxError(
+            f"{frame.source}: azimuth_deg: expected {n_beams} numbers to fit the image, got {azimuth.size}"
+        )
     step = (geometry["range_max_m"] - geometry["range_min_m"]) / n_ranges
     return SimpleNamespace(
         time_ns=time_ns,

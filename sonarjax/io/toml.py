@@ -28,7 +28,7 @@ def parse_toml(data: bytes, name: str) -> dict[str, Any]:
         SonarjaxError: It is not UTF-8, not TOML (the message gives line and column), or nested too deeply.
     """
     try:
-        document = tomllib.loads(data.decode("utf-8"))
+        document = tomllib.loads(data.decode("utf-8-sig"))  # some editors begin a file with a byte order mark
     except (ValueError, RecursionError) as error:  # TOMLDecodeError and UnicodeDecodeError are ValueErrors
         text = " ".join(str(error).split())[:160]
         raise SonarjaxError(f"{name}: expected a TOML file: {text}") from error

@@ -91,6 +91,10 @@ def test_module_runs_as_a_command(place):
         (["recognize", "f.npz", "--target", "m.stl", "--out", "r.jsonl"], "--sonar"),
         (["recognize", "f", "--target", "m", "--sonar", "s", "--out", "r", "--threshold", "2"], "--threshold"),
         (["recognize", "--target", "m", "--sonar", "s", "--out", "r"], "FRAME"),
+        (
+            ["recognize", "f", "--target", "m", "--sonar", "s", "--out", "r", "--motion", "standing"],
+            "used with --track",
+        ),
         (["segment", "f.npz"], "--out-dir"),
         (["export", "--segmenter", "pix2pix"], "--onnx"),
         (["train", "--preset", "huge", "--run-dir", "r"], "huge"),

@@ -2,7 +2,6 @@
 
 import json
 import os
-import struct
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,28 +9,10 @@ import pytest
 
 from sonarjax.io import write_png
 from sonarjax.io.safetensors import write_safetensors
+from tests.cli.files import recording
 
 SHAPE = (64, 24)
 AZIMUTH, EDGES = (np.arange(24) - 11.5) * 29 / 24, np.linspace(1.5, 4.0, 65)
-
-
-def recording(n_frames: int, n_ranges: int = 64) -> bytes:
-    """A DDF_05 (ARIS) file with 48 beams."""
-    content = bytearray(1024)
-    struct.pack_into("<I", content, 0, 0x05464444)
-    for number in range(n_frames):
-        header = bytearray(1024)
-        for offset, layout, *values in (
-            (0, "IQI", number, 10**15, 0x05464444),
-            (436, "II", 1, 1),
-            (452, "I", 5),
-            (464, "fI", 1450.0, n_ranges),
-            (476, "III", 1000, 0, 0),
-            (516, "I", 1),
-        ):
-            struct.pack_into("<" + layout, header, offset, *values)
-        content += header + bytes(n_ranges * 48)
-    return bytes(content)
 
 
 @pytest.fixture

@@ -47,17 +47,28 @@ def test_what_cannot_be_used_is_one_line(command, place, tmp_path, frame, option
 
 def test_a_frame_of_another_shape_is_named(command, place, tmp_path):
     np.save(tmp_path / "wide.npy", np.full((64, 25), 0.5, np.float32))
-    code, _, err = command(*arguments(place, place / "a.npz", tmp_path / "wide.npy", out=tmp_path / "fitted.toml"))
-    assert code == 1 and err.count("\n") == 1
+    code, _, err = command(*arguments(place, tmp_path / "wide.npy", out=tmp_path / "fitted.toml"))
+    assert code == 1 and err.count("\n") == 1 and not (tmp_path / "fitted.toml").exists()
     assert f"error: {tmp_path}/wide.npy: image: expected shape (64, 24) (range, beam) of {place}/sonar.toml" in err
 
 
-def test_a_contradicting_header_is_noted(command, place, tmp_path):
+def test_a_contradicting_header_is_noted(command, place, tmp_path, found, monkeypatch):
     axes = {"azimuth_deg": np.linspace(-10.0, 10.0, 24), "range_edges_m": np.linspace(1.5, 4.0, 65)}
     np.savez(tmp_path / "own.npz", image=np.full((64, 24), 0.5, np.float32), **axes)
-    frames = tmp_path / "own.npz", tmp_path / "absent.npz"  # the second ends the command before it computes
+    monkeypatch.setattr(sys.modules["sonarjax.calibrate"], "calibrate", lambda *_, **__: found)
+    frames = [tmp_path / "own.npz"] * len(found.used)
     code, _, err = command(*arguments(place, *frames, out=tmp_path / "fitted.toml"))
-    assert code == 1 and f"note: {tmp_path}/own.npz: its header contradicts" in err
+    assert code == 0 and err.count(f"note: {tmp_path}/own.npz: its header contradicts") == 1
+
+
+def test_a_frame_that_cannot_be_read_costs_itself_alone(command, place, tmp_path, found, monkeypatch):
+    given = []
+    monkeypatch.setattr(sys.modules["sonarjax.calibrate"], "calibrate", lambda f, *_, **__: given.extend(f) or found)
+    (tmp_path / "bad.npy").write_bytes(b"no array")
+    frames = place / "a.npz", tmp_path / "bad.npy", place / "b.npy"
+    code, said, err = command(*arguments(place, *frames, out=tmp_path / "fitted.toml"))
+    assert code == 1 and err.startswith(f"sonarjax: error: {tmp_path}/bad.npy: ") and err.count("\n") == 1
+    assert len(given) == 2 and "b.npy: left out" in said and (tmp_path / "fitted.toml").exists()
 
 
 def test_a_picture_of_another_format_is_refused(command, place, tmp_path):

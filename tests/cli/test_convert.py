@@ -12,6 +12,7 @@ from PIL import Image
 
 from sonarjax.io import fan_around, read_frames, write_png
 from sonarjax.sonar import Sonar
+from tests.cli.files import recording
 
 SECTOR = ("--opening-deg", 29, "--range-min", 1.5, "--range-max", 4)
 
@@ -262,3 +263,20 @@ def test_frames_become_one_log(command, complaint, tmp_path, ending):
     write_png(tmp_path / "grey.png", images[0])
     said = complaint(2, "convert", names[0], tmp_path / "grey.png", "--out", tmp_path / f"b.{ending}")
     assert "grey.png" in said and not (tmp_path / f"b.{ending}").exists()
+
+
+@pytest.mark.parametrize("ending", ["bag", "mcap"])
+def test_a_damaged_frame_is_left_out_of_a_log(command, tmp_path, ending):
+    pytest.importorskip("rosbags")
+    content = bytearray(recording(3))
+    path, out = tmp_path / "three.aris", tmp_path / f"log.{ending}"
+    at = 1024 + (1024 + 64 * 48) + 436
+    content[at] = 77  # PingMode of frame 1
+    path.write_bytes(content)
+    code, said, err = command("convert", path, "--out", out)
+    assert (code, said) == (1, f"{out}: 2 frames\n")
+    assert err.startswith(f"sonarjax: error: {path}: frame 1: PingMode") and err.count("\n") == 1
+    assert len(read_frames(out)) == 2
+    code, said, err = command("convert", f"{path}:1", "--out", out)
+    assert (code, said) == (1, "") and f"{out}: not written, because no frame can be read" in err
+    assert len(read_frames(out)) == 2

@@ -87,6 +87,7 @@ BAD = [
     (1024 + 464, "f", math.nan, "SoundSpeed: expected 1000 to 2000 m/s, got nan"),
     (1024 + 452, "I", 0, "SamplePeriod: expected 1 to"),
     (1024 + 476, "I", 2**32 - 1, "range window: expected 0 to 1000 m"),
+    (1024 + 516, "I", 0, "frame 0: ReorderedSamples: expected 1, got 0"),
     (2 * 1024 + 960 + 468, "I", 9, "frame 1: SamplesPerBeam, PingMode: expected 10 x 96"),
 ]
 

@@ -20,6 +20,14 @@ def test_versions(make, saved, version, file_header):
     assert geometry["range_max_m"] == pytest.approx(3 * 0.375 + 2.25)
     assert (geometry["tilt_deg"], geometry["roll_deg"], geometry["frequency_hz"]) == (15.0, 0.5, 1.8e6)
     assert frames[0].meta["time"] == "2009-06-01 12:30:15.50"
+    assert frames[0].meta["time_ns"] == 1_243_859_415_500_000_000  # `date -u -d "2009-06-01 12:30:15.5" +%s%N`
+
+
+def test_a_date_that_is_none_is_left_out(make, saved):
+    content = bytearray(make.didson())
+    struct.pack_into("<i", content, 512 + 24, 13)
+    first, second = read_frames(saved("d.ddf", bytes(content)))
+    assert first.meta["time"].startswith("2009-13-01") and "time_ns" not in first.meta and "time_ns" in second.meta
 
 
 def test_size_of_the_file_header_without_signed_frames(make):

@@ -37,10 +37,27 @@ def test_grey_saved_as_colour_is_accepted_and_colour_is_not(make, saved):
         read_frames(saved("b.png", make.png(rgb)))
 
 
-DTYPES = [np.uint8, np.uint16, np.uint32, np.int8, np.int16, np.int32]
+def test_16_bits_of_colour_or_transparency_are_refused(make, saved):
+    """The decoder would keep the upper 8 of them."""
+    deep = GREY.astype(np.uint16) * 257
+    rgb = make.png(np.repeat(deep[..., None], 3, axis=2))
+    rgba = make.png(np.stack([deep, deep, deep, np.full_like(deep, 65535)], axis=2))
+    two = make.png(np.repeat(deep, 2, axis=1), width=4)  # grey and transparency, from a header with colour type 4
+    size = struct.pack(">IIBBBBB", 4, 3, 16, 4, 0, 0, 0)
+    grey_alpha = two[:8] + make.chunk(b"IHDR", size) + two[33:]
+    for content in (rgb, rgba, grey_alpha):
+        with pytest.raises(SonarjaxError, match="a.png: header: got 16-bit colour or transparency: save it as 16-bit"):
+            read_frames(saved("a.png", content))
 
 
-@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_a_transparent_grey_value_is_refused(make, saved, dtype):
+    content = make.png(GREY.astype(dtype), extra=make.chunk(b"tRNS", struct.pack(">H", 40)))
+    with pytest.raises(SonarjaxError, match="a.png: expected a grey, opaque picture, got one grey value"):
+        read_frames(saved("a.png", content))
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, ">u2"])
 def test_integers_scale_by_the_maximum_of_their_type(make, saved, dtype):
     top = np.iinfo(dtype).max
     (frame,) = read_frames(saved("a.npy", make.npy(np.array([[0, top // 2, top]], dtype))))
@@ -103,8 +120,13 @@ BAD_ARRAYS = [
     (np.full((3, 4), -np.inf), "expected finite values"),
     (np.full((3, 4), 1.5), r"expected floats in \[0, 1\], got 1.5"),
     (np.full((3, 4), -0.1), r"expected floats in \[0, 1\], got -0.1"),
-    (np.full((3, 4), -1, np.int16), "expected values of 0 or more, got -1"),
-    (np.zeros((3, 4), np.int64), "expected 8, 16 or 32 bits or float, got int64"),
+    (
+        np.full((3, 4), 200, np.int16),
+        "expected uint8, uint16 or float, got int16: convert it to the type",
+    ),
+    (np.full((3, 4), 200, np.int32), "expected uint8, uint16 or float, got int32"),
+    (np.full((3, 4), 200, np.uint32), "expected uint8, uint16 or float, got uint32"),
+    (np.zeros((3, 4), np.int64), "expected uint8, uint16 or float, got int64"),
     (np.zeros((3, 4), complex), "dtype: expected bool, integer or float"),
     (np.array([["a", "b"]]), "dtype: expected bool, integer or float"),
     (np.zeros((3, 4), [("x", "f4")]), "dtype: expected bool, integer or float"),

@@ -82,6 +82,7 @@ def test_toml(saved):
     text = describe(path)
     assert "didson-hf" in text and "floor.x_m" in text and "7 values, 1 to 7.5" in text
     assert read_toml(saved("empty.toml", b"")) == {}
+    assert read_toml(saved("mark.toml", b"\xef\xbb\xbfheight_m = 1.5\n")) == {"height_m": 1.5}  # a byte order mark
 
 
 @pytest.mark.parametrize("content", [b"a = ", b"\xff\xfe", b"a = 1\na = 2", b"[" * 5000, b"a = " + b"9" * 5000])

@@ -43,7 +43,11 @@ def test_a_damaged_item_costs_its_ping_alone(make, saved, packets, compress):
     at = len(second) + 43  # header of the second ping's item
     assert whole[at : at + 4] == struct.pack("<I", 0xAABBCCDD)
     lost = saved("a.oculus", whole[:at] + b"oops" + whole[at + 4 :])
-    assert [record.shape for record in iter_records(lost)] == [(12, 16), (14, 16)]
+    first, error, last = iter_records(lost)
+    assert (first.shape, last.shape) == ((12, 16), (14, 16)) and f"item at byte {at}: item header: " in str(error)
+    swollen = saved("c.oculus", whole[: at + 32] + struct.pack("<I", 500_000_000) + whole[at + 36 :])
+    first, error, last = iter_records(swollen)
+    assert (first.shape, last.shape) == ((12, 16), (14, 16)) and "and 500000000 bytes" in str(error)
     payload = at + 40 + 8
     wrong = saved("b.oculus", whole[:payload] + b"\xff" * 100 + whole[payload + 100 :])
     found = list(iter_records(wrong))

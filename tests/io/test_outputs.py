@@ -31,6 +31,18 @@ def test_a_frame_of_a_recording_names_its_file():
         check_outputs({"--out": "r.aris"}, ["r.aris:3"])
 
 
+def test_an_output_in_the_folder_of_a_bag_that_is_read(folder):
+    (folder / "run").mkdir()
+    (folder / "run" / "metadata.yaml").write_bytes(b"kept")
+    os.symlink("run", "linked")
+    for out in ("run/run.mcap", "linked/run.mcap", "sub/../run/new.npz"):
+        for spec in ("run", "run/", "run:/sonar_image:3", "linked"):
+            with pytest.raises(SonarjaxError, match="--out: .* lies in the input '.*': expected another folder"):
+                check_outputs({"--out": out}, ["f.npz", spec])
+    check_outputs({"--out": "running.npz"}, ["run"])
+    check_outputs({"--out": "sub/r.jsonl"}, ["sub"])  # no bag: such as a folder named like a segmenter
+
+
 def test_two_outputs_in_one_file():
     for png in ("new.npz", "sub/../new.npz"):
         with pytest.raises(SonarjaxError, match="--png: .* is also --out"):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from sonarjax.io import Frame, SonarjaxError, iter_records, read_frames
+from sonarjax.io.files import open_content
 
 
 def kinds(path: str) -> list[bool]:
@@ -56,6 +57,40 @@ def test_an_oculus_ping_and_a_stretch_that_is_none(make, saved):
     first, lost, third, last = iter_records(path)
     assert (first.shape, third.shape) == ((12, 16), (14, 16))
     assert "id: expected 0x4f53" in str(lost) and "ping 3" in str(last)
+
+
+@pytest.mark.parametrize("damaged_ping", [0, 1, 2])
+def test_an_oculus_ping_that_says_it_is_larger_than_the_file(make, saved, damaged_ping):
+    pings = [make.oculus(n_pings=1, n_ranges=12 + k) for k in range(3)]
+    pings[damaged_ping] = damaged(pings[damaged_ping], 10, struct.pack("<I", 500_000_000))
+    path = saved("o.raw", b"".join(pings))
+    if damaged_ping == 2:  # nothing follows: it may still be being written
+        assert kinds(path) == [True, True]
+        return
+    assert kinds(path) == [number != damaged_ping for number in range(3)]
+    error = list(iter_records(path))[damaged_ping]
+    assert "payload: truncated: expected 500000000 bytes" in str(error)
+
+
+@pytest.mark.parametrize(("name", "written"), [("a.aris", "aris"), ("a.raw", "oculus")])
+def test_a_file_that_becomes_shorter_while_it_is_read(make, saved, name, written):
+    path = saved(name, getattr(make, written)(2, n_ranges=2000))  # frames larger than what is read ahead
+    records = iter_records(path)
+    assert isinstance(next(records), Frame)
+    os.truncate(path, os.path.getsize(path) // 2)
+    (error,) = records
+    assert str(error).startswith(f"{path}: became shorter while it was read: expected ")
+
+
+def test_content_is_found_across_pieces(saved):
+    """As `bytes.find`, whatever piece it lies in."""
+    data = bytearray(300_000)
+    for at in (4_094, 4_095, 200_001):
+        data[at : at + 4] = b"here"
+    with open_content(saved("x.bin", bytes(data))) as content:
+        for start in (0, 4_095, 4_096, 200_002):
+            for end in (None, 4_098, 4_099, 200_004, 200_005, 10**9):
+                assert content.find(b"here", start, end) == bytes(data).find(b"here", start, end)
 
 
 @pytest.mark.slow

@@ -147,6 +147,7 @@ def test_what_cannot_be_found(tmp_path):
     for spec, said in [
         (path, f"{path}: topic: expected one topic of sonar images; the bag has /port, /starboard"),
         (f"{path}:/other", f"{path}: topic: expected a topic of sonar images, not '/other'; the bag has /port"),
+        (f"{path}:other:0", f"{path}: topic: expected a topic of sonar images, not 'other'; the bag has /port"),
         (f"{path}:/port:1", f"{path}:/port: frame 1: expected 0 to 0"),
         (str(tmp_path / "none.mcap"), f"{tmp_path / 'none.mcap'}: no such file"),
     ]:
@@ -154,6 +155,21 @@ def test_what_cannot_be_found(tmp_path):
             read_frames(spec)
         assert str(caught.value).startswith(said)
     assert len(read_frames(f"{path}:/starboard")) == 1
+
+
+def test_the_size_of_a_folder_is_that_of_its_files(tmp_path):
+    write_bag(tmp_path / "run", [flat()])
+    size = sum(file.stat().st_size for file in (tmp_path / "run").iterdir())
+    assert f" {size} bytes\n" in describe(tmp_path / "run")
+
+
+@pytest.mark.parametrize("name", ["ts.mcap", "ts"])
+def test_a_topic_without_a_slash_can_be_named(tmp_path, name):
+    path = tmp_path / name
+    write_bag(path, [flat(), flat()], "image")
+    assert len(read_frames(f"{path}:image")) == 2
+    (frame,) = read_frames(f"{path}:image:1")
+    assert frame.source == f"{path}:image:1"
 
 
 @pytest.mark.parametrize("name", ["a.bag", "a.mcap", "run"])
@@ -226,6 +242,72 @@ def test_written_frames_come_back(tmp_path, name):
         assert len(read_frames(str(path))) == 1
 
 
+GEOMETRY = {"azimuth_deg": [0.0, 1.0], "range_min_m": 0.0, "range_max_m": 1.0}
+
+
+def flat(value: float = 0.5, **meta) -> Frame:
+    return Frame(np.full((3, 2), value, np.float32), None, "f", "f", GEOMETRY, meta)
+
+
+def test_a_written_folder_can_be_copied_file_by_file(tmp_path):
+    for place in ("one", "two"):
+        (tmp_path / place).mkdir()
+        write_bag(tmp_path / place / "run", [flat()])
+    one, two = ({file.name: file.read_bytes() for file in (tmp_path / p / "run").iterdir()} for p in ("one", "two"))
+    assert sorted(one) == ["metadata.yaml", "run.mcap"] and one == two
+
+
+def test_what_is_written_to_a_link_goes_where_it_points(tmp_path):
+    (tmp_path / "store").mkdir()
+    link = tmp_path / "log.mcap"
+    link.symlink_to("store/kept.mcap")
+    for count in (1, 2):
+        write_bag(link, [flat()] * count)
+        assert link.is_symlink() and len(read_frames(tmp_path / "store" / "kept.mcap")) == count
+    assert [entry.name for entry in (tmp_path / "store").iterdir()] == ["kept.mcap"]
+
+
+@pytest.mark.parametrize("name", ["a.bag", "a.mcap"])
+def test_written_frames_keep_their_times_and_their_order(tmp_path, name):
+    exact = 1_371_198_079_122_519_001  # more digits than a float holds
+    frames = [flat(0.1), flat(0.2), flat(0.3, time_ns=exact), flat(0.4, time_s=2.5), flat(0.5)]
+    write_bag(tmp_path / name, frames)
+    read = read_frames(tmp_path / name)
+    assert [frame.meta["time_ns"] for frame in read] == [0, 10**8, 25 * 10**8, exact, exact + 10**8]
+    np.testing.assert_allclose([frame.image[0, 0] for frame in read], [0.1, 0.2, 0.4, 0.3, 0.5], atol=1e-4)
+    write_bag(tmp_path / f"again{name}", read)
+    assert [frame.meta["time_ns"] for frame in read_frames(tmp_path / f"again{name}")][-2] == exact
+
+
+@pytest.mark.parametrize(("ending", "key"), [("aris", "time_us"), ("ddf", "time")])
+def test_times_of_a_recording_are_kept_in_a_bag(make, saved, tmp_path, ending, key):
+    path = saved(f"a.{ending}", make.aris() if ending == "aris" else make.didson())
+    recorded = read_frames(path)
+    assert all(key in frame.meta for frame in recorded)
+    write_bag(tmp_path / "a.mcap", recorded)
+    times = [frame.meta["time_ns"] for frame in read_frames(tmp_path / "a.mcap")]
+    assert times == [frame.meta["time_ns"] for frame in recorded]
+    assert times[0] == (10**18 if ending == "aris" else 1_243_859_415_500_000_000)
+
+
+@pytest.mark.parametrize(
+    ("frames", "said"),
+    [
+        ([flat(), flat(time_s=-1.0)], "f: time_s: expected a number from 0 to 2.14748e+09, got -1.0"),
+        ([flat(time_ns=-1)], "f: time_ns: expected a number from 0"),
+        ([flat(time_s=1e300)], "f: time_s: expected a number from 0"),
+        ([flat(time_s="noon")], "f: time_s: expected a number from 0 to 2.14748e+09, got 'noon'"),
+        ([Frame(np.zeros((3, 5), np.float32), None, "f", "f", GEOMETRY)], "f: azimuth_deg: expected 5 numbers"),
+    ],
+)
+def test_what_cannot_be_put_into_a_message(tmp_path, frames, said):
+    for name in ("a.bag", "run"):
+        with pytest.raises(SonarjaxError) as caught:
+            write_bag(tmp_path / name, frames)
+        assert str(caught.value).startswith(said) and "\n" not in str(caught.value)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_frame_that_cannot_be_written_leaves_nothing_behind(tmp_path):
     image = np.zeros((2, 2), np.float32)
     with pytest.raises(SonarjaxError, match="f: azimuth_deg: expected the sonar's geometry"):
@@ -235,4 +317,6 @@ def test_a_frame_that_cannot_be_written_leaves_nothing_behind(tmp_path):
         write_bag(tmp_path / "b", [Frame(image, np.zeros((2, 2), bool), "f", "f", geometry)])
     with pytest.raises(SonarjaxError, match="cannot be written"):
         write_bag(tmp_path / "missing" / "folder.bag", [])
+    with pytest.raises(SonarjaxError, match="e.db3: expected a name that ends in .bag or .mcap"):
+        write_bag(tmp_path / "e.db3", [])
     assert list(tmp_path.iterdir()) == []

@@ -1,6 +1,7 @@
 """Files out: all or nothing, and JSON Lines that survive a kill."""
 
 import errno
+import io
 import json
 import os
 import subprocess
@@ -120,6 +121,20 @@ def test_a_full_device(tmp_path):
     with JsonLines("/dev/full") as lines, pytest.raises(SonarjaxError, match="No space left"):
         lines.write({"a": 1})
     assert os.path.exists("/dev/full")
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/stdout"), reason="no /dev/stdout")
+def test_a_pipe_is_written_to_directly():
+    program = "from sonarjax.io import write_text, write_npz\nimport numpy as np\n"
+    program += "write_text('/dev/stdout', 'said')\nwrite_npz('/dev/stderr', image=np.eye(2))"
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, timeout=60, env=environment, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    with np.load(io.BytesIO(done.stderr), allow_pickle=False) as loaded:
+        np.testing.assert_array_equal(loaded["image"], np.eye(2))
+    assert done.stdout == b"said"
 
 
 def test_json_lines_append(tmp_path):
