@@ -33,7 +33,7 @@ from sonarjax.sensor import SensorModel
 from sonarjax.sonar import Sonar, range_edges_of
 
 SETTINGS, PARTS, SHEET, CARD = "dataset.json", "parts", "contact_sheet.png", "README.md"
-VERSION = 3
+VERSION = 4
 """Version of the folder's layout and of the way in which a frame is drawn from its number."""
 MOST_FRAMES = 2**31
 SENSOR_FIELDS = tuple(field.name for field in dataclasses.fields(SensorModel))
@@ -113,8 +113,8 @@ def make_dataset(
         True if the data set is complete, False if chunks of other shards are missing.
 
     Raises:
-        SonarjaxError: A setting is not allowed, a mesh is larger than the view, the sonar sees no floor, or the folder
-            holds something other than a part of the same data set.
+        SonarjaxError: A setting is not allowed, a mesh is larger than the view, the sonar sees no floor or its platform
+            is out of view, or the folder holds something other than a part of the same data set.
     """
     plan = _plan(meshes, sonar, count, key, format, settings)
     if not (1 <= shard[0] <= shard[1]):

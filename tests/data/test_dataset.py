@@ -22,6 +22,7 @@ from sonarjax.data.formats import box_of, run_lengths
 from sonarjax.data.frames import CHUNK, Drawn
 from sonarjax.data.layout import draw_layout, placement_limits
 from sonarjax.io import SonarjaxError, read_frames
+from sonarjax.sonar import PRESETS
 
 SHAPE = (48, 20)
 SONAR = sj.Sonar.preset("didson-hf", tilt=math.radians(20)).replace(
@@ -327,6 +328,33 @@ def test_objects_never_overlap_and_stand_on_lit_floor():
         slant = np.hypot(np.hypot(layouts.pose.x[k], layouts.pose.y[k]), SONAR.height)[: counts[k]]
         assert (slant > limits.near - 1e-3).all() and (slant < limits.far + 1e-3).all()
         assert not layouts.there[k, counts[k] :].any()
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.6])
+def test_objects_stand_on_the_platform(yaw):
+    sonar = SONAR.replace(floor=sj.FloorPatch(2.3, 0.1, 0.8, 0.5, yaw))
+    meshes, limits = sj.stack_meshes(list(MESHES.values())), placement_limits(sonar)
+    draw = jax.jit(jax.vmap(lambda key: draw_layout(meshes, sonar, limits, 2, key=key)))
+    layouts = jax.tree.map(np.asarray, draw(jax.random.split(jax.random.key(1), 200)))
+    assert layouts.there[:, 0].all()
+    x, y = layouts.pose.x[layouts.there] - 2.3, layouts.pose.y[layouts.there] - 0.1
+    along, across = math.cos(yaw) * x + math.sin(yaw) * y, math.cos(yaw) * y - math.sin(yaw) * x
+    for values, side in ((along, 0.8), (across, 0.5)):  # on the platform, and all over it
+        assert 0.4 * side < np.abs(values).max() < 0.5 * side + 1e-5
+
+
+@pytest.mark.parametrize("x", [-2.3, 8.0])
+def test_a_platform_out_of_view_is_one_clear_error(x):
+    with pytest.raises(SonarjaxError, match=r"floor: expected a platform in view, with places at ranges from 2\.08"):
+        placement_limits(SONAR.replace(floor=sj.FloorPatch(x, 0.0, 0.8, 0.8)))
+
+
+def test_objects_lie_between_the_outer_beams():
+    for name in PRESETS:  # symmetric: the outer beams themselves, made smaller
+        sonar = sj.Sonar.preset(name)
+        assert placement_limits(sonar)[2:] == (*(float(0.9 * sonar.azimuth[k]) for k in (0, -1)),)
+    beside = placement_limits(SONAR.replace(azimuth=jnp.radians(jnp.linspace(10.0, 40.0, 20))))
+    assert np.degrees(beside[2:]) == pytest.approx([11.5, 38.5])
 
 
 def _corners(layouts, frame: int, number: int) -> np.ndarray:
