@@ -172,6 +172,8 @@ def convert(frame: Frame, out: str, options: FanOptions = FanOptions(), axes: Po
 def _to_polar(picture: Frame, out: str, options: FanOptions, axes: PolarAxes | None) -> str:
     if picture.geometry is not None:
         raise SonarjaxError(f"{picture.source}: expected a fan picture to make a polar frame of, this is a polar frame")
+    if options.whole and options.apex is not None:
+        raise SonarjaxError("--apex: cannot be used with --whole, which says where the sonar is")
     opening_deg, near, far = _sector(_with_axes(options, axes), "a fan picture, unless --sonar is given")
     rows, columns = picture.shape
     box = PictureBox(0.0, float(rows), 0.0, float(columns)) if options.frame else content_box(picture.image)
@@ -227,8 +229,8 @@ def _axes(polar: Frame, options: FanOptions, axes: PolarAxes | None) -> tuple[np
     if not in_file:
         opening_deg, near, far = _sector(options, "a frame without azimuth_deg and range_edges_m")
         return equal_beams(math.radians(opening_deg), beams), np.linspace(near, far, bins + 1)
-    for name in SECTOR:
-        if getattr(options, name) is not None:
+    for name in _told_by_beams(beams):
+        if _given(options, name):
             raise SonarjaxError(f"{_option(name)}: cannot be used: the file itself holds this value")
     edges = np.linspace(held["range_min_m"], held["range_max_m"], bins + 1)
     return np.radians(held["azimuth_deg"]), edges
@@ -238,7 +240,7 @@ def _axes_of_sonar(polar: Frame, options: FanOptions, axes: PolarAxes, in_file: 
     """As `_axes`, from `axes`, unless the file has its own (`in_file`) or an option says something else."""
     if in_file:
         raise SonarjaxError("--sonar: cannot be used: the file itself holds beams and ranges")
-    for name in SECTOR:
+    for name in _told_by_beams(axes.azimuth.size):
         if _given(options, name):
             raise SonarjaxError(f"{_option(name)}: cannot be used with --sonar, which holds this value")
     if polar.shape != axes.shape:
@@ -246,12 +248,17 @@ def _axes_of_sonar(polar: Frame, options: FanOptions, axes: PolarAxes, in_file: 
     return axes.azimuth, axes.range_edges
 
 
+def _told_by_beams(beams: int) -> tuple[str, ...]:
+    """Options of the sector that axes with so many beams make superfluous."""
+    return SECTOR if beams > 1 else SECTOR[1:]
+
+
 def _opening(azimuth: np.ndarray, options: FanOptions) -> float:
     """Full angle [rad] of a fan about the middle beam that holds all beams, the outer ones as wide as their spacing."""
     if options.opening_deg is not None:
         return math.radians(options.opening_deg)
     if azimuth.size == 1:
-        raise SonarjaxError("fan: expected two beams or more, one does not tell the opening")
+        raise SonarjaxError("--opening-deg: required for a frame of one beam, which does not tell the opening")
     outer = 1.5 * azimuth[[0, -1]] - 0.5 * azimuth[[1, -2]]
     return float(2 * np.abs(outer).max())
 
