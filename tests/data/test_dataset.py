@@ -7,6 +7,7 @@ import io
 import itertools
 import json
 import math
+import os
 from pathlib import Path
 
 import jax
@@ -278,6 +279,65 @@ def test_a_set_whose_settings_another_shard_writes_meanwhile_is_taken_up(make, m
 
     monkeypatch.setattr(dataset.os, "listdir", late)
     assert content(make("a", shard=(2, 2))) == content(make("b"))
+
+
+DAMAGES = ("sheet gone", "empty", "cut off", "line gone", "no record", "manifest")
+
+
+@pytest.mark.parametrize(
+    ("format", "what"), [*((name, "file gone") for name in FORMATS), *(("coco", name) for name in DAMAGES)]
+)
+def test_what_is_damaged_is_drawn_again(make, format, what):
+    folder = make("a", CHUNK + 3, format=format)
+    whole = content(folder)
+    part = folder / "parts" / "00000001.jsonl"
+    lines = part.read_text().splitlines(keepends=True)
+    if what == "file gone":
+        last = sorted(p for p in folder.rglob(f"*{CHUNK + 2:08d}.*"))[-1]
+        last.unlink()
+    elif what == "sheet gone":
+        (folder / dataset.SHEET).unlink()
+    elif what == "manifest":
+        (folder / "manifest.jsonl").write_text("")
+    else:
+        text = "".join(lines)
+        damaged = {"empty": "", "cut off": text[:-9], "line gone": "".join(lines[1:]), "no record": "[1]\n" * 3}
+        part.write_text(damaged[what])
+    assert content(make("a", CHUNK + 3, format=format)) == whole
+
+
+def test_a_shard_does_not_complete_a_set_in_which_another_is_damaged(make, tmp_path):
+    make("a", 2 * CHUNK, shard=(1, 2))
+    (tmp_path / "a" / "images" / "00000002.png").unlink()
+    make("a", 2 * CHUNK, shard=(2, 2))
+    assert not (tmp_path / "a" / "manifest.jsonl").exists()
+    make("a", 2 * CHUNK, shard=(1, 2))
+    assert len(manifest(tmp_path / "a")) == 2 * CHUNK
+
+
+@pytest.mark.parametrize("format", FORMATS)
+def test_a_finished_set_is_left_as_it_is(make, format):
+    folder = make("a", 3, format=format)
+    (folder / "README.md").write_text("my own words")
+    (folder / "data.yaml").write_text("train: images/train")
+    before = {p: (p.stat().st_mtime_ns, p.stat().st_ino) for p in folder.rglob("*") if p.is_file()}
+    make("a", 3, format=format)
+    assert {p: (p.stat().st_mtime_ns, p.stat().st_ino) for p in folder.rglob("*") if p.is_file()} == before
+    (folder / "images" / "00000001.png").unlink(missing_ok=True)  # what is drawn again changes no card either
+    make("a", 3, format=format)
+    assert (folder / "README.md").read_text() == "my own words"
+
+
+def test_what_killed_processes_left_is_deleted(make, tmp_path):
+    make("a", 2 * CHUNK, shard=(1, 2))
+    names = [".sonarjax-1.tmp", "images/.sonarjax-2.tmp", "parts/.sonarjax-3.tmp", ".sonarjax-4.tmp"]
+    for name in names:
+        (tmp_path / "a" / name).write_text("half")
+    os.utime(tmp_path / "a" / names[-1], (0, 0))
+    make("a", 2 * CHUNK, shard=(2, 2))  # another shard's manifest, written at this moment, is not deleted
+    assert [name for name in names if (tmp_path / "a" / name).exists()] == names[:1]
+    make("a", 2 * CHUNK)
+    assert not (tmp_path / "a" / names[0]).exists()
 
 
 def test_a_folder_of_something_else_is_refused(make, tmp_path):
