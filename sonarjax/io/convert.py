@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from sonarjax.io.atomic import write_npz, write_png
+from sonarjax.io.console import complain
 from sonarjax.io.errors import SonarjaxError, UnreadableError
 from sonarjax.io.fan import fan_to_polar, polar_to_fan
 from sonarjax.io.fan_geometry import PictureBox, content_box, equal_beams, fan_around, fit_fan
@@ -21,6 +22,9 @@ from sonarjax.io.ros import write_bag
 
 DARKEST = 1 / 255
 """Least value of a measured pixel in a fan picture. Black means not measured, and shows where the sector ends."""
+
+STRETCHED = 0.02
+"""Difference between height and width of a fan picture's pixels from which on a note tells of it [1]."""
 
 
 @dataclass(frozen=True)
@@ -40,9 +44,9 @@ class FanOptions:
     apex: float | None = None
     """Row of the fan picture at which the sonar is [pixels] (default: found from where the outer beams begin)."""
     whole: bool = False
-    """The picture reaches down to the sonar, which is in the middle of its lower edge."""
+    """The picture reaches down to the sonar, which is at its lower edge, below the middle of the fan."""
     frame: bool = False
-    """The fan just fits the picture's frame, rather than the bounding box of its pixels above 0."""
+    """The fan touches all four edges of the picture, rather than those of the box that `content_box` finds."""
     width: int | None = None
     """Columns of the fan picture to make; by default a pixel is as long [m] as a bin, or a beam at mid range if
     shorter.
@@ -77,8 +81,12 @@ FAN_OPTIONS = {
     "--bins": ("N", "to polar: range bins (default: rows of the fan along its middle)"),
     "--beams": ("N", "to polar: beams (default: columns along the fan's arc at mid range)"),
     "--apex": ("ROW", "to polar: row of the picture where the sonar is (default: found from the fan's lower edge)"),
-    "--whole": (None, "to polar: the sonar is at the picture's lower edge"),
-    "--frame": (None, "to polar: the fan fills the picture (default: the bounding box of its pixels above 0)"),
+    "--whole": (None, "to polar: the sonar is at the picture's lower edge (instead of --apex)"),
+    "--frame": (
+        None,
+        "to polar: the fan touches all four edges of the picture (default: its edges are found from the pixels above "
+        "black)",
+    ),
     "--width": ("N", "to fan: columns of the picture (default: pixels the size of a bin, or of a beam if smaller)"),
 }
 """Command-line option for each field of FanOptions -> its argument (None for a switch) and its help text."""
@@ -137,6 +145,8 @@ def _readable(spec: str) -> Iterator[Frame]:
 def convert(frame: Frame, out: str, options: FanOptions = FanOptions(), axes: PolarAxes | None = None) -> str:
     """Convert a fan picture to a polar frame in an NPZ, or a polar frame to a fan picture in a PNG, and write it.
 
+    A note on stderr tells of a fan picture whose pixels, as its fan was found, are not square.
+
     Args:
         frame: Fan picture (row, column) if `out` ends in .npz, polar frame (range, beam) if it ends in .png.
         out: File to write; its ending says which conversion is wanted.
@@ -146,7 +156,7 @@ def convert(frame: Frame, out: str, options: FanOptions = FanOptions(), axes: Po
             sonar with uneven beams.
 
     Returns:
-        One line that says what was written.
+        One line that says what was written, and where in a fan picture the fan and the sonar were found.
 
     Raises:
         SonarjaxError: `out` has another ending or cannot be written; an option is missing, is for the other direction,
@@ -187,8 +197,18 @@ def _to_polar(picture: Frame, out: str, options: FanOptions, axes: PolarAxes | N
     if not mask.any():
         raise SonarjaxError("fan: expected a fan that overlaps the picture, it lies outside")
     write_npz(out, image=image, mask=mask, azimuth_deg=np.degrees(axes.azimuth), range_edges_m=axes.range_edges)
+    if abs(geometry.row_m / geometry.column_m - 1) > STRETCHED:
+        complain(
+            f"{picture.source}: a pixel is {geometry.row_m:.4g} m high and {geometry.column_m:.4g} m wide: unless the "
+            "picture was stretched, the fan is not where it was found, or not as --opening-deg and ranges say: see "
+            "--apex, --whole and --frame",
+            kind="note: ",
+        )
     size = f"{axes.shape[0]} range bins x {axes.shape[1]} beams"
-    return f"{out}: {size}, {_told(opening_deg, near, far)}, {mask.mean():.1%} of the pixels measured"
+    place = f"the fan in rows {box.top:g} to {box.bottom:g} and columns {box.left:g} to {box.right:g}"
+    measured = f"{mask.mean():.1%} of the pixels measured"
+    told = _told(opening_deg, near, far)
+    return f"{out}: {size}, {told}, {measured}; {place}, the sonar at row {geometry.apex_row:.1f}"
 
 
 def _with_axes(options: FanOptions, axes: PolarAxes | None) -> FanOptions:

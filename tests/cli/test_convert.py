@@ -38,6 +38,7 @@ def test_fan_becomes_a_frame(command, fan, tmp_path):
     code, said, err = command("convert", fan, *SECTOR, "--out", out, "--bins", 200, "--beams", 80)
     assert (code, err) == (0, "")
     assert said.startswith(f"{out}: 200 range bins x 80 beams, opening 29 deg, range 1.5 to 4 m, 100.0% of")
+    assert "; the fan in rows 7 to 261 and columns 7 to 207, the sonar at row 405.8" in said
     assert said.count("\n") == 1
     with np.load(out, allow_pickle=False) as held:
         assert set(held) == {"image", "mask", "azimuth_deg", "range_edges_m"}
@@ -84,6 +85,19 @@ def test_black_frame_is_found_again(command, tmp_path):
     assert command("convert", tmp_path / "a.png", *SECTOR, *options, "--out", tmp_path / "b.npz")[0] == 0
     back = read_frames(tmp_path / "b.npz")[0].image
     assert np.unravel_index(back.argmax(), back.shape) == (30, 12)
+
+
+def test_a_fan_that_does_not_begin_where_it_is_said_is_noted(command, fan, tmp_path):
+    """Its nearest ranges are black: by its lower edge it is stretched, and objects move towards the sonar."""
+    with Image.open(fan) as picture:
+        pixels = np.asarray(picture).copy()
+    pixels[-30:] = 0
+    write_png(tmp_path / "a.png", pixels)
+    code, _, err = command("convert", tmp_path / "a.png", *SECTOR, "--out", tmp_path / "p.npz")
+    assert code == 0 and err.count("\n") == 1
+    assert err.startswith(f"sonarjax: note: {tmp_path / 'a.png'}: a pixel is 0.01103 m high and 0.01002 m wide: unless")
+    apex = ("--apex", 7 + 4 / 0.01)
+    assert command("convert", tmp_path / "a.png", *SECTOR, *apex, "--out", tmp_path / "p.npz")[::2] == (0, "")
 
 
 def test_whole_and_apex_say_the_same(command, fan, tmp_path):
