@@ -24,6 +24,7 @@ import numpy as np
 from jaxtyping import Array
 
 from sonarjax.data.card import card_text, contact_sheet, summarised
+from sonarjax.data.draws import key_numbers
 from sonarjax.data.folder import MANIFEST
 from sonarjax.data.formats import (
     CLASSES,
@@ -41,6 +42,7 @@ from sonarjax.data.frames import CHUNK, Drawn, FrameSettings, draw_chunk
 from sonarjax.data.layout import Limits, placement_limits
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.io import SonarjaxError, make_folder, write_atomic, write_text
+from sonarjax.io.given import check_kind, is_text, is_whole, shown
 from sonarjax.render import check_fits
 from sonarjax.scene import Mesh, stack_meshes
 from sonarjax.sensor import SensorModel
@@ -132,9 +134,8 @@ def make_dataset(
         SonarjaxError: A setting is not allowed, a mesh is larger than the view, the sonar sees no floor or its platform
             is out of view, or the folder holds something other than a part of the same data set.
     """
-    plan = _plan(meshes, sonar, count, key, format, settings)
-    if not (1 <= shard[0] <= shard[1]):
-        raise SonarjaxError(f"shard: expected I/N with I from 1 to N, got {shard[0]}/{shard[1]}")
+    _check(meshes, sonar, count, format, settings, shard, license)
+    plan = _plan(meshes, sonar, int(count), key, format, settings)
     target = Path(folder)
     facts = _facts(plan, meshes, license)
     _take_up(target, facts)
@@ -180,20 +181,39 @@ def _item(drawn: Drawn, at: int, number: int) -> Item:
     return Item(number, *pictures, drawn.mesh[at][:there].tolist(), drawn.pose[at][:there].tolist())
 
 
+def _check(meshes: Any, sonar: Any, count: Any, format: Any, settings: Any, shard: Any, license: Any) -> None:
+    """Raise a SonarjaxError for an argument of another kind than expected, or out of its range."""
+    if not isinstance(meshes, Mapping):
+        raise SonarjaxError(
+            f"meshes: expected a mapping from names to meshes, such as {{'box': mesh}}, got {shown(meshes)}"
+        )
+    if not meshes:
+        raise SonarjaxError("meshes: expected at least one")
+    for name, mesh in meshes.items():
+        if not is_text(name):
+            raise SonarjaxError(f"meshes: expected names as keys, got {shown(name)}")
+        check_kind(mesh, Mesh, f"meshes[{name!r}]")
+    check_kind(sonar, Sonar, "sonar")
+    if not (is_whole(count) and 1 <= count <= MOST_FRAMES):
+        raise SonarjaxError(f"count: expected a whole number from 1 to {MOST_FRAMES}, got {shown(count)}")
+    if not (isinstance(format, str) and format in FORMATS):
+        raise SonarjaxError(f"format: expected one of {', '.join(FORMATS)}, got {shown(format)}")
+    check_kind(settings, FrameSettings, "settings")
+    pair = isinstance(shard, tuple | list) and len(shard) == 2 and all(map(is_whole, shard))
+    if not (pair and 1 <= shard[0] <= shard[1]):
+        raise SonarjaxError(f"shard: expected (i, n) with i from 1 to n, got {shard if pair else shown(shard)}")
+    if not is_text(license):
+        raise SonarjaxError(f"license: expected a text, got {shown(license)}")
+
+
 def _plan(
     meshes: Mapping[str, Mesh], sonar: Sonar, count: int, key: Array, format: str, settings: FrameSettings
 ) -> Plan:
-    if format not in FORMATS:
-        raise SonarjaxError(f"format: expected one of {', '.join(FORMATS)}, got {format!r}")
-    if not 1 <= count <= MOST_FRAMES:
-        raise SonarjaxError(f"count: expected 1 to {MOST_FRAMES} frames, got {count}")
-    if not meshes:
-        raise SonarjaxError("meshes: expected at least one")
     for name, mesh in meshes.items():
         check_fits(mesh, sonar, name)
     azimuth = np.degrees(np.asarray(sonar.azimuth, np.float64))
     axes = Axes(azimuth, range_edges_of(sonar), tuple(meshes))
-    data = np.asarray(jax.random.key_data(key))
+    data = key_numbers(key)
     plain = jax.tree.map(lambda v: np.asarray(v, np.float32), sonar)
     return Plan(
         stack_meshes(list(meshes.values())), plain, placement_limits(sonar), axes, data, count, format, settings

@@ -81,6 +81,16 @@ def is_number(value: Any) -> bool:
     return array.ndim == 0 and array.dtype.kind in "iuf" and not np.isnan(array)
 
 
+def is_whole(value: Any) -> bool:
+    """True for a whole number of Python or NumPy; False for booleans, and for floats even if they are whole."""
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)
+
+
+def is_text(value: Any) -> bool:
+    """True for text that UTF-8 can hold; a file name that is no UTF-8 is read as one that it cannot."""
+    return isinstance(value, str) and value.encode("utf-8", "replace").decode() == value
+
+
 def shown(value: Any) -> str:
     """What a message says was given: short values as Python writes them, of others the kind."""
     if isinstance(value, os.PathLike):

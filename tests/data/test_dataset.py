@@ -354,10 +354,13 @@ def test_a_folder_of_something_else_is_refused(make, tmp_path):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({"format": "tiff"}, "format: expected one of png, npz, coco, yolo"), ({"count": 0}, "count: expected 1"),
+        ({"format": "tiff"}, "format: expected one of png, npz, coco, yolo"),
+        ({"count": 0}, "count: expected a whole number from 1 to"),
         ({"shard": (3, 2)}, "shard: expected"), ({"meshes": {}}, "at least one"),
         ({"sonar": SONAR.replace(tilt=-0.5)}, "sees no floor"),
         ({"sonar": SONAR.replace(range_min=0.1, range_max=0.2)}, "0.2 m"),
+        ({"meshes": {"b\udcff": MESHES["pile"]}}, r"expected names as keys, got 'b\\udcff'"),
+        ({"license": "\udcff"}, r"license: expected a text, got '\\udcff'"),
     ],
 )  # fmt: skip
 def test_bad_settings_are_one_clear_error(make, tmp_path, options, said):
