@@ -12,10 +12,11 @@ import sys
 import pytest
 
 PREPARED = """
-import json, sys
+import json, os, sys
 from dataclasses import replace
 import jax, numpy as np, trimesh
 import sonarjax as sj
+from sonarjax.data import FrameSettings, Pairs, export_pairs, make_dataset
 from sonarjax.io import Frame
 
 path = sys.argv[1]
@@ -31,6 +32,10 @@ listed = sj.RefineConfig(blurs=[3, 1], margin=[8, 2])
 painted = replace(m, reflectivity=np.ones(3))
 recognizer = sj.Recognizer(m, s, segmenter="none", refine=None)
 network = sj.load_segmenter()
+to_polar, to_fan, fan = sj.io.fan_to_polar, sj.io.polar_to_fan, sj.io.fan_around(0.4, 2.0, 3.0, 0.02)[0]
+edges, out, key = np.linspace(2, 3, 65), path + ".set", jax.random.key(0)
+make = lambda meshes={"a": m}, sonar=s, count=4, key=key, **o: make_dataset(meshes, sonar, out, count, key=key, **o)
+crops, labels = np.full((2, 128, 128), 0.5), np.zeros((2, 128, 128), int)
 found = {}
 for call in json.load(sys.stdin):
     try:
@@ -45,6 +50,8 @@ MESH = "expected a Mesh (from Mesh.load(path) or Mesh.from_arrays(vertices, face
 POSE = "expected a Pose (such as Pose(x=2.0, y=0.0, yaw=0.5)), got "
 SONAR = "expected a Sonar (from Sonar.from_toml(path) or Sonar.preset(name)), got "
 WEIGHTS = "weights: expected a GeneratorWeights (such as load_segmenter().weights), got "
+MESHES = "meshes: expected a mapping from names to meshes, such as {'box': mesh}, got "
+KEY = "key: expected one JAX key, such as jax.random.key(0), got "
 ONE = "image: expected one frame (range, beam), got shape (64, 16, 1)"
 FACTORS = "expected a reflectivity of 12 factors, one for each triangle and padding, got shape "
 READ = " (sonarjax.io.read_frames(path) reads files)"
@@ -110,6 +117,49 @@ CASES = {
     "network.semantic(im, im[1:] > 0)": "mask: expected the image's shape (64, 16), got (63, 16)",
     "sj.io.write_bag(path + '.bag', Frame(im, None, 'a', 'a'))": "frames: expected frames one after another, such as",
     "sj.io.write_bag(path + '.bag', ['f.npz'])": "frames[0]: expected a Frame, got 'f.npz'",
+    # Fan pictures
+    "to_polar(im[:, :, None], fan)": "fan: picture: expected one grey image of two axes, got shape (64, 16, 1)",
+    "to_polar('fan.png', fan)": "fan: picture: expected numbers, got 'fan.png'",
+    "to_polar(im, fan, order=2)": "fan: order: expected 0, 1 or 3, got 2",
+    "to_polar(im * np.nan, fan)": "fan: expected finite values in all pixels that were measured",
+    "to_polar(im, fan, azimuth=[0.1, 'x'])": "fan: azimuth: expected numbers, got a list",
+    "to_polar(im, fan, azimuth=[-0.1, 0.1])[0].shape[1]": "no error: 2",
+    "to_fan(im, list(beams), list(edges), fan, (9, 9))[0].shape": "no error: (9, 9)",
+    "to_fan(im[0], beams, edges, fan, (9, 9))": "fan: image: expected one grey image of two axes, got shape (16,)",
+    "to_fan(im, beams, edges, fan, (9, 9), im[1:] > 0)": "fan: mask: expected the image's shape (64, 16), got (63, 16)",
+    "to_fan(im, beams, edges, fan, (9, 9), order=2)": "fan: order: expected 0, 1 or 3, got 2",
+    "to_fan(im * np.inf, beams, edges, fan, (9, 9))": "fan: expected finite values in all pixels that were measured",
+    # Data sets
+    "make([m])": f"{MESHES}a list",
+    "make(m)": f"{MESHES}a Mesh",
+    "make({'a': 'box.stl'})": f"meshes['a']: {MESH}'box.stl'",
+    "make({1: m})": "meshes: expected names as keys, got 1",
+    "make(sonar='s.toml')": f"sonar: {SONAR}'s.toml'",
+    "make(key=0)": f"{KEY}0",
+    "make(key='seed')": f"{KEY}'seed'",
+    "make(key=jax.random.split(key))": KEY,
+    "make(settings={'scenes': 2})": "settings: expected a FrameSettings, got a dict",
+    "make(count=4.0)": "count: expected a whole number from 1 to 2147483648, got 4.0",
+    "make(count='4')": "count: expected a whole number from 1 to 2147483648, got '4'",
+    "make(shard=2)": "shard: expected (i, n) with i from 1 to n, got 2",
+    "make(format=['png'])": "format: expected one of png, npz, coco, yolo, got a list",
+    "make(license=None)": "license: expected a text, got None",
+    "FrameSettings(scenes=1.5)": "scenes: expected a whole number from 1 to 32, got 1.5",
+    "FrameSettings(np.int64(3), severity=np.float32(1))": "no error: FrameSettings(scenes=3, sensor='drawn', sever",
+    "FrameSettings(scenes='2')": "scenes: expected a whole number from 1 to 32, got '2'",
+    "FrameSettings(severity='1')": "severity: expected a number from 0 to 10, got '1'",
+    "FrameSettings(quality=2)": "quality: expected a RenderQuality, got 2",
+    "export_pairs(im, out)": "pairs: expected a Pairs, got a ndarray",
+    "export_pairs(Pairs(crops, 1.0 * labels), out)": "pairs: labels: expected whole numbers from 0 to 2, got float64",
+    "export_pairs(Pairs(crops, labels + 9), out)": "pairs: labels: expected whole numbers from 0 to 2, got 9 to 9",
+    "export_pairs(Pairs(crops, labels - 1), out)": "pairs: labels: expected whole numbers from 0 to 2, got -1 to -1",
+    "export_pairs(Pairs(crops, labels[1:]), out)": "pairs: expected images and labels (pair, range, beam) of the same ",
+    "export_pairs(Pairs(crops * 255, labels), out)": "pairs: image: expected values in [0, 1]",
+    "export_pairs(Pairs('a.png', labels), out)": "pairs: image: expected numbers, got 'a.png'",
+    "export_pairs(Pairs(crops, labels), out, key=3)": f"{KEY}3",
+    "export_pairs(Pairs(crops, labels), out, settings={})": "settings: expected a PairSettings, got a dict",
+    "export_pairs(Pairs(crops, labels), out, first='4')": "first: expected a whole number of 0 or more, got '4'",
+    "os.path.exists(out)": "no error: False",
     # Numbers
     "sj.Pose(x='2.6')": "Pose: x: expected numbers, got '2.6'",
     "sj.Pose(yaw=None)": "Pose: yaw: expected numbers, got None",

@@ -40,9 +40,7 @@ def add(commands: Any) -> None:
         required=True,
         help="POLAR.npz, FAN.png, LOG.bag or LOG.mcap: its ending chooses the format",
     )
-    command.add_argument(
-        "--sonar", metavar="S.toml", help="the sonar on whose beams and range bins the polar frame lies, even or uneven"
-    )
+    command.add_argument("--sonar", metavar="S.toml", help="put the polar frame on this sonar's beams and range bins")
     for option, (metavar, text) in FAN_OPTIONS.items():
         value = {"metavar": metavar, "type": count if metavar == "N" else number}
         command.add_argument(option, help=text, **(value if metavar else {"action": "store_true"}))

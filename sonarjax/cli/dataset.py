@@ -10,7 +10,7 @@ from typing import Any
 
 from sonarjax.cli.arguments import add_mesh_options, count, limited
 from sonarjax.cli.frames import CLUSTER_HELP, engine_of, start_jax
-from sonarjax.cli.targets import load_mesh, mesh_files
+from sonarjax.cli.targets import MESH_ENDINGS, load_mesh, mesh_files
 from sonarjax.data import FORMATS, SENSORS
 from sonarjax.io import say
 
@@ -23,8 +23,10 @@ def add(commands: Any) -> None:
     )  # fmt: skip
     command.set_defaults(run=run)
     command.add_argument(
-        "meshes", metavar="MESH", nargs="+", help="mesh files that trimesh reads, or folders of them; names must differ"
-    )
+        "meshes", metavar="MESH", nargs="+",
+        help="mesh files that trimesh reads, or folders of them: of a folder, its "
+        f"{', '.join(MESH_ENDINGS[:-1])} and {MESH_ENDINGS[-1]} files; names must differ",
+    )  # fmt: skip
     command.add_argument("--sonar", metavar="S.toml", required=True, help="the sonar and its geometry")
     command.add_argument(
         "--count", metavar="N", required=True, type=partial(count, high=2**31), help="number of frames"

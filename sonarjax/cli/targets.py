@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from sonarjax.io import SonarjaxError, complain
+from sonarjax.io.given import is_text
 
 MESH_ENDINGS = (".stl", ".obj", ".ply", ".off", ".glb", ".gltf", ".3mf")
 """File name endings of meshes. Other files in a folder are ignored."""
@@ -24,12 +25,14 @@ def mesh_files(given: Sequence[str], option: str) -> dict[str, str]:
         Paths by stem.
 
     Raises:
-        SonarjaxError: A folder holds no mesh, or two files have the same stem.
+        SonarjaxError: A folder holds no mesh, a stem is not in UTF-8, or two files have the same stem.
     """
     files: dict[str, str] = {}
     for one in given:
         for path in _of_folder(Path(one), option) if Path(one).is_dir() else [one]:
             stem = Path(path).stem
+            if not is_text(stem):
+                raise SonarjaxError(f"{option}: {path!r}: expected a file name in UTF-8, because results hold it")
             if stem in files:
                 raise SonarjaxError(
                     f"{option}: {files[stem]} and {path} are both called {stem!r}: expected different names"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -66,6 +66,14 @@ class Summary:
         reach[0], reach[1] = min(reach[0], value), max(reach[1], value)
 
 
+def summarised(lines: Iterable[dict[str, Any]]) -> Summary:
+    """Counts and value ranges over the frames whose records in the manifest are `lines`."""
+    summary = Summary()
+    for line in lines:
+        summary.add(line)
+    return summary
+
+
 def card_text(facts: dict[str, Any], summary: Summary, axes: Axes) -> str:
     """Text of a data set's README.md; `facts` is the content of its settings file."""
     settings = facts["settings"]
@@ -101,8 +109,8 @@ def card_text(facts: dict[str, Any], summary: Summary, axes: Axes) -> str:
         "## Settings", "", *made, "",
         "## Ranges", "", "Smallest and largest value over all frames: poses, then fields of the sensor model.", "",
         "| what | smallest | largest |", "| --- | --- | --- |", *reached, "",
-        f"Frame k depends only on the key and on k. Frames are made in chunks of {CHUNK}; `parts/` keeps the manifest "
-        "lines of each chunk.", "",
+        "With the same meshes, sonar and settings, frame k depends only on the key and on k. Frames are made in chunks "
+        f"of {CHUNK}; `parts/` keeps the manifest lines of each chunk.", "",
     ])  # fmt: skip
 
 

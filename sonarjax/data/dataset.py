@@ -1,16 +1,19 @@
 """`make_dataset`: write a folder of simulated frames with their labels, boxes and poses, for training other networks.
 
 Frames are made in chunks. The files of a chunk are written first, and then its part of the manifest. The part marks the
-chunk as done: a restarted run makes only the chunks without a part. Several processes can make different shards in the
-same folder. Once all parts exist, the manifest, annotations and card are made from them, line by line.
+chunk as done: a restarted run makes only the chunks without a part, or of which something is missing or damaged.
+Several processes can make different shards in the same folder. Once all parts exist, the manifest, annotations and card
+are made from them, line by line. Files that are as they should be are not written again.
 """
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
 import json
 import os
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
@@ -20,22 +23,37 @@ import jax
 import numpy as np
 from jaxtyping import Array
 
-from sonarjax.data.card import Summary, card_text, contact_sheet
+from sonarjax.data.card import card_text, contact_sheet, summarised
+from sonarjax.data.draws import key_numbers
 from sonarjax.data.folder import MANIFEST
-from sonarjax.data.formats import CLASSES, FORMATS, Axes, Files, Item, category, category_names, describe_objects, short
+from sonarjax.data.formats import (
+    CLASSES,
+    FORMATS,
+    Axes,
+    Files,
+    Item,
+    category,
+    category_names,
+    describe_objects,
+    paths_of,
+    short,
+)
 from sonarjax.data.frames import CHUNK, Drawn, FrameSettings, draw_chunk
 from sonarjax.data.layout import Limits, placement_limits
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.io import SonarjaxError, make_folder, write_atomic, write_text
+from sonarjax.io.given import check_kind, is_text, is_whole, shown
 from sonarjax.render import check_fits
 from sonarjax.scene import Mesh, stack_meshes
 from sonarjax.sensor import SensorModel
 from sonarjax.sonar import Sonar, range_edges_of
 
 SETTINGS, PARTS, SHEET, CARD = "dataset.json", "parts", "contact_sheet.png", "README.md"
-VERSION = 3
+VERSION = 4
 """Version of the folder's layout and of the way in which a frame is drawn from its number."""
 MOST_FRAMES = 2**31
+ABANDONED_S = 3600
+"""Age from which on a temporary file beside the manifest is taken for one of a process that was killed [s]."""
 SENSOR_FIELDS = tuple(field.name for field in dataclasses.fields(SensorModel))
 Lines = list[dict[str, Any]]
 
@@ -113,25 +131,26 @@ def make_dataset(
         True if the data set is complete, False if chunks of other shards are missing.
 
     Raises:
-        SonarjaxError: A setting is not allowed, a mesh is larger than the view, the sonar sees no floor, or the folder
-            holds something other than a part of the same data set.
+        SonarjaxError: A setting is not allowed, a mesh is larger than the view, the sonar sees no floor or its platform
+            is out of view, or the folder holds something other than a part of the same data set.
     """
-    plan = _plan(meshes, sonar, count, key, format, settings)
-    if not (1 <= shard[0] <= shard[1]):
-        raise SonarjaxError(f"shard: expected I/N with I from 1 to N, got {shard[0]}/{shard[1]}")
+    _check(meshes, sonar, count, format, settings, shard, license)
+    plan = _plan(meshes, sonar, int(count), key, format, settings)
     target = Path(folder)
     facts = _facts(plan, meshes, license)
     _take_up(target, facts)
-    sonar.to_toml(target / "sonar.toml")
+    if not (target / "sonar.toml").exists():
+        sonar.to_toml(target / "sonar.toml")
     mine = range(shard[0] - 1, _chunks(count), shard[1])
     told = progress or (lambda frames: None)
-    for part in engine.stream(draw_part, plan, _missing(target, mine, count, told)):
+    for part in engine.stream(draw_part, plan, _missing(target, mine, plan, told)):
         for name, content in part.files.items():
             write_atomic(target / name, partial(_write, content))
         write_text(_part(target, part.chunk), "".join(json.dumps(line) + "\n" for line in part.lines))
         told(len(part.lines))
-    if any(not _part(target, chunk).exists() for chunk in range(_chunks(count))):
+    if not _others_are_done(target, mine, plan):
         return False
+    _delete_left(target, plan.format, alone=shard[1] == 1)
     _finish(target, plan, facts)
     return True
 
@@ -144,7 +163,7 @@ def draw_part(plan: Plan, chunk: int, engine: Engine) -> Part:
     """
     drawn = draw_chunk(plan.meshes, plan.sonar, plan.limits, chunk, plan.settings, engine, key=plan.key)
     files, lines, items = Files(), Lines(), []
-    for at, number in enumerate(range(chunk * CHUNK, min((chunk + 1) * CHUNK, plan.frames))):
+    for at, number in enumerate(_numbers(chunk, plan.frames)):
         items.append(_item(drawn, at, number))
         own, names = FORMATS[plan.format](items[-1], plan.axes)
         files |= own
@@ -162,20 +181,39 @@ def _item(drawn: Drawn, at: int, number: int) -> Item:
     return Item(number, *pictures, drawn.mesh[at][:there].tolist(), drawn.pose[at][:there].tolist())
 
 
+def _check(meshes: Any, sonar: Any, count: Any, format: Any, settings: Any, shard: Any, license: Any) -> None:
+    """Raise a SonarjaxError for an argument of another kind than expected, or out of its range."""
+    if not isinstance(meshes, Mapping):
+        raise SonarjaxError(
+            f"meshes: expected a mapping from names to meshes, such as {{'box': mesh}}, got {shown(meshes)}"
+        )
+    if not meshes:
+        raise SonarjaxError("meshes: expected at least one")
+    for name, mesh in meshes.items():
+        if not is_text(name):
+            raise SonarjaxError(f"meshes: expected names as keys, got {shown(name)}")
+        check_kind(mesh, Mesh, f"meshes[{name!r}]")
+    check_kind(sonar, Sonar, "sonar")
+    if not (is_whole(count) and 1 <= count <= MOST_FRAMES):
+        raise SonarjaxError(f"count: expected a whole number from 1 to {MOST_FRAMES}, got {shown(count)}")
+    if not (isinstance(format, str) and format in FORMATS):
+        raise SonarjaxError(f"format: expected one of {', '.join(FORMATS)}, got {shown(format)}")
+    check_kind(settings, FrameSettings, "settings")
+    pair = isinstance(shard, tuple | list) and len(shard) == 2 and all(map(is_whole, shard))
+    if not (pair and 1 <= shard[0] <= shard[1]):
+        raise SonarjaxError(f"shard: expected (i, n) with i from 1 to n, got {shard if pair else shown(shard)}")
+    if not is_text(license):
+        raise SonarjaxError(f"license: expected a text, got {shown(license)}")
+
+
 def _plan(
     meshes: Mapping[str, Mesh], sonar: Sonar, count: int, key: Array, format: str, settings: FrameSettings
 ) -> Plan:
-    if format not in FORMATS:
-        raise SonarjaxError(f"format: expected one of {', '.join(FORMATS)}, got {format!r}")
-    if not 1 <= count <= MOST_FRAMES:
-        raise SonarjaxError(f"count: expected 1 to {MOST_FRAMES} frames, got {count}")
-    if not meshes:
-        raise SonarjaxError("meshes: expected at least one")
     for name, mesh in meshes.items():
         check_fits(mesh, sonar, name)
     azimuth = np.degrees(np.asarray(sonar.azimuth, np.float64))
     axes = Axes(azimuth, range_edges_of(sonar), tuple(meshes))
-    data = np.asarray(jax.random.key_data(key))
+    data = key_numbers(key)
     plain = jax.tree.map(lambda v: np.asarray(v, np.float32), sonar)
     return Plan(
         stack_meshes(list(meshes.values())), plain, placement_limits(sonar), axes, data, count, format, settings
@@ -233,7 +271,7 @@ def _check_settings(target: Path, path: Path, facts: dict[str, Any]) -> None:
     """Raise a SonarjaxError unless the data set's settings, in the file `path`, are these."""
     try:
         old = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise SonarjaxError(f"{path}: expected the settings of a data set: {error}") from error
     for name, value in facts.items():
         if not isinstance(old, dict) or old.get(name) != value:
@@ -258,13 +296,41 @@ def _part(target: Path, chunk: int) -> Path:
     return target / PARTS / f"{chunk:08d}.jsonl"
 
 
-def _missing(target: Path, chunks: range, count: int, told: Callable[[int], object]) -> Iterator[int]:
-    """Yield the chunks that have no part yet; report the frames of finished chunks to `told`."""
+def _numbers(chunk: int, count: int) -> range:
+    """Numbers of a chunk's frames."""
+    return range(chunk * CHUNK, min((chunk + 1) * CHUNK, count))
+
+
+def _missing(target: Path, chunks: range, plan: Plan, told: Callable[[int], object]) -> Iterator[int]:
+    """Yield the chunks that are not done yet; report the frames of those that are to `told`."""
     for chunk in chunks:
-        if _part(target, chunk).exists():
-            told(min((chunk + 1) * CHUNK, count) - chunk * CHUNK)
+        if _is_done(target, chunk, plan):
+            told(len(_numbers(chunk, plan.frames)))
         else:
             yield chunk
+
+
+def _others_are_done(target: Path, mine: range, plan: Plan) -> bool:
+    """Whether the chunks of other shards than `mine` are done."""
+    chunks = range(_chunks(plan.frames))
+    if not all(_part(target, chunk).exists() for chunk in chunks):  # sooner told than whether all are intact
+        return False
+    return all(chunk in mine or _is_done(target, chunk, plan) for chunk in chunks)
+
+
+def _is_done(target: Path, chunk: int, plan: Plan) -> bool:
+    """Whether a chunk's part holds a record of each of its frames, and all their files exist."""
+    try:
+        lines = [json.loads(line) for line in _part(target, chunk).read_text(encoding="utf-8").splitlines()]
+        whole = [line["number"] for line in lines] == list(_numbers(chunk, plan.frames))
+        needed = {"objects", "sensor"} | ({"annotations"} if plan.format == "coco" else set())
+        for line in lines if whole else ():
+            paths = paths_of(plan.format, line["number"])
+            whole &= needed <= line.keys() and all(line[name] == path for name, path in paths.items())
+            whole &= all((target / path).is_file() for path in paths.values())
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        return False  # there is none, or it is damaged
+    return whole and (chunk > 0 or (target / SHEET).is_file())
 
 
 def _lines(target: Path, count: int) -> Iterator[dict[str, Any]]:
@@ -275,31 +341,55 @@ def _lines(target: Path, count: int) -> Iterator[dict[str, Any]]:
                 yield json.loads(line)
 
 
+def _delete_left(target: Path, format: str, alone: bool) -> None:
+    """Delete temporary files of interrupted processes, once all frames exist.
+
+    No process writes frames any more. But unless there is a single shard, another one may be writing the manifest.
+    """
+    for folder in (target, *(target / name for name in _FOLDERS[format])):
+        for left in folder.glob(".sonarjax-*.tmp"):
+            with contextlib.suppress(OSError):
+                if alone or folder != target or time.time() - left.stat().st_mtime > ABANDONED_S:
+                    left.unlink()
+
+
 def _finish(target: Path, plan: Plan, facts: dict[str, Any]) -> None:
-    """Write the manifest, annotations and card from all parts, and delete temporary files of interrupted processes."""
-    for name in _FOLDERS[plan.format]:
-        for left in (target / name).glob(".sonarjax-*.tmp"):  # all frames exist, so no process writes here any more
-            left.unlink(missing_ok=True)
-    summary = Summary()
-
-    def manifest() -> Iterator[str]:
-        for line in _lines(target, plan.frames):
-            summary.add(line)
-            line.pop("annotations", None)
-            yield json.dumps(line) + "\n"
-
-    _write_lines(target / MANIFEST, manifest())
+    """Write the manifest, annotations and card from all parts. A card that exists is the user's, who may change it."""
+    _write_lines(target / MANIFEST, lambda: _manifest(target, plan.frames))
     if plan.format == "coco":
-        _write_lines(target / "annotations.json", _coco(target, plan))
+        _write_lines(target / "annotations.json", lambda: _coco(target, plan))
     if plan.format == "yolo":
         names = "".join(f"  {k}: {json.dumps(name)}\n" for k, name in enumerate(category_names(plan.axes.names)))
         # `path` is left out: readers resolve it from their working directory, and without it use this file's folder.
-        write_text(target / "data.yaml", f"train: images\nval: images\nnames:\n{names}")
-    write_text(target / CARD, card_text(facts, summary, plan.axes))
+        _write_if_missing(target / "data.yaml", lambda: f"train: images\nval: images\nnames:\n{names}")
+    _write_if_missing(target / CARD, lambda: card_text(facts, summarised(_lines(target, plan.frames)), plan.axes))
 
 
-def _write_lines(path: Path, lines: Iterator[str]) -> None:
-    write_atomic(path, lambda file: file.writelines(line.encode() for line in lines))
+def _write_if_missing(path: Path, text: Callable[[], str]) -> None:
+    if not path.exists():
+        write_text(path, text())
+
+
+def _write_lines(path: Path, lines: Callable[[], Iterator[str]]) -> None:
+    """Write lines to a file, unless it holds them already."""
+    if not _holds(path, lines):
+        write_atomic(path, lambda file: file.writelines(line.encode() for line in lines()))
+
+
+def _holds(path: Path, lines: Callable[[], Iterator[str]]) -> bool:
+    try:
+        with open(path, "rb") as file:
+            same = all(file.read(len(line)) == line for line in map(str.encode, lines()))
+            return same and not file.read(1)
+    except OSError:
+        return False
+
+
+def _manifest(target: Path, count: int) -> Iterator[str]:
+    """Yield the manifest line by line."""
+    for line in _lines(target, count):
+        line.pop("annotations", None)
+        yield json.dumps(line) + "\n"
 
 
 def _coco(target: Path, plan: Plan) -> Iterator[str]:

@@ -5,16 +5,31 @@ Each separate draw adds some hundred instructions to compile, and a pair needs a
 
 from __future__ import annotations
 
+import contextlib
 import math
 from statistics import NormalDist
 from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+import numpy as np
+from jaxtyping import Array, Float, Int, UInt32
+
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.given import shown
 
 Number = Any  # a float or a traced scalar
 TAIL = 0.5 * (1 - NormalDist().cdf(3.0))  # normal draws stop near three standard deviations, to keep scenes plausible
+
+
+def key_numbers(key: Array) -> UInt32[np.ndarray, "word"]:
+    """Data of one JAX key. Raises SonarjaxError if it is something else."""
+    data = None
+    with contextlib.suppress(TypeError, ValueError):
+        data = np.asarray(jax.random.key_data(key))
+    if data is None or data.ndim != 1:
+        raise SonarjaxError(f"key: expected one JAX key, such as jax.random.key(0), got {shown(key)}")
+    return data
 
 
 class Stream:

@@ -20,9 +20,11 @@ import numpy as np
 from jaxtyping import Array, Float, UInt8
 
 from sonarjax.crops import PATCH
+from sonarjax.data.draws import key_numbers
 from sonarjax.data.pairs import Pairs, PairSettings
 from sonarjax.io import SonarjaxError, read_bytes, write_png, write_text
 from sonarjax.io.files import reason
+from sonarjax.io.given import check_kind, image_array, is_whole, number_array, shown
 from sonarjax.io.png import parse_png
 
 MANIFEST = "manifest.jsonl"
@@ -49,25 +51,54 @@ def export_pairs(
         first: As given to `make_pairs`: number of the first pair in the manifest.
 
     Raises:
-        SonarjaxError: Something cannot be written.
+        SonarjaxError: The pairs are no pairs: images are not in [0, 1], labels are not 0, 1 and 2, or their shapes
+            differ; another argument is of another kind; or something cannot be written.
     """
+    images, labels = _arrays(pairs)
+    origin = _origin(key, settings)
+    if not (is_whole(first) and first >= 0):
+        raise SonarjaxError(f"first: expected a whole number of 0 or more, got {shown(first)}")
     target = Path(folder)
     try:
         target.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise SonarjaxError(f"{target}: cannot create the folder: {reason(error)}") from error
-    origin: dict[str, Any] = {} if settings is None else {"settings": dataclasses.asdict(settings)}
-    if key is not None:
-        origin["key"] = np.asarray(jax.random.key_data(key)).tolist()
     with contextlib.suppress(OSError):
         (target / MANIFEST).unlink()  # left by an earlier export
     lines = []
-    for index, (image, labels) in enumerate(zip(np.asarray(pairs.image), np.asarray(pairs.labels), strict=True)):
+    for index, (image, label) in enumerate(zip(images, labels, strict=True)):
         names = {"image": f"image_{index:05d}.png", "labels": f"labels_{index:05d}.png"}
         write_png(target / names["image"], image)
-        write_png(target / names["labels"], STORED[labels])
-        lines.append(json.dumps(names | {"number": first + index} | origin))
+        write_png(target / names["labels"], STORED[label])
+        lines.append(json.dumps(names | {"number": int(first) + index} | origin))
     write_text(target / MANIFEST, "\n".join(lines) + "\n")
+
+
+def _arrays(pairs: Pairs) -> tuple[np.ndarray, np.ndarray]:
+    """Images and labels (pair, range, beam) of pairs, once they are checked."""
+    check_kind(pairs, Pairs, "pairs")
+    images, labels = image_array(pairs.image, "pairs: image"), number_array(pairs.labels, "pairs: labels")
+    if images.ndim != 3 or images.shape != labels.shape:
+        got = f"{images.shape} and {labels.shape}"
+        raise SonarjaxError(f"pairs: expected images and labels (pair, range, beam) of the same shape, got {got}")
+    if images.dtype != np.uint8 and not ((images >= 0) & (images <= 1)).all():
+        raise SonarjaxError("pairs: image: expected values in [0, 1]")
+    whole = labels.dtype.kind in "iu"
+    if not (whole and ((labels >= 0) & (labels < len(STORED))).all()):
+        got = f"{labels.min()} to {labels.max()}" if whole else str(labels.dtype)
+        raise SonarjaxError(f"pairs: labels: expected whole numbers from 0 to {len(STORED) - 1}, got {got}")
+    return images, labels
+
+
+def _origin(key: Array | None, settings: PairSettings | None) -> dict[str, Any]:
+    """What the manifest says of what made the pairs."""
+    origin: dict[str, Any] = {}
+    if settings is not None:
+        check_kind(settings, PairSettings, "settings")
+        origin["settings"] = dataclasses.asdict(settings)
+    if key is not None:
+        origin["key"] = key_numbers(key).tolist()
+    return origin
 
 
 def import_pairs(folder: str | os.PathLike[str]) -> Pairs:
@@ -103,7 +134,7 @@ def import_pairs(folder: str | os.PathLike[str]) -> Pairs:
 def _names(line: str, where: str) -> tuple[str, str]:
     try:
         entry = json.loads(line)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise SonarjaxError(f"{where}: expected a JSON object: {' '.join(str(error).split())}") from error
     if not isinstance(entry, dict):
         raise SonarjaxError(f"{where}: expected a JSON object, got {type(entry).__name__}")

@@ -21,6 +21,13 @@ from sonarjax.io.atomic import zip_arrays
 
 CLASSES = ("highlight", "shadow")
 """The classes of an object's pixels: label 1 is the first, label 2 the second."""
+PATHS = {
+    "png": {"image": "images/{:08d}.png", "labels": "labels/{:08d}.png", "instances": "instances/{:08d}.png"},
+    "npz": {"frame": "frames/{:08d}.npz"},
+    "coco": {"image": "images/{:08d}.png"},
+    "yolo": {"image": "images/{:08d}.png", "boxes": "labels/{:08d}.txt"},
+}
+"""Files of a frame by format: what its manifest record calls each, and its path, given the frame's number."""
 Files = dict[str, bytes]
 
 
@@ -50,6 +57,11 @@ class Axes(NamedTuple):
     """Range bin edges (edge,) [m]."""
     names: tuple[str, ...]
     """Names of the meshes."""
+
+
+def paths_of(format: str, number: int) -> dict[str, str]:
+    """Paths in the folder of the files of frame `number`, by what its manifest record calls them."""
+    return {name: path.format(number) for name, path in PATHS[format].items()}
 
 
 def mask_of(item: Item, instance: int, label: int) -> Bool[np.ndarray, "range beam"]:
@@ -125,9 +137,8 @@ def _png(item: Item, axes: Axes) -> tuple[Files, dict[str, Any]]:
 
     Labels are stored as 0 shadow, 128 background and 255 highlight, as `import_pairs` reads them.
     """
-    stem = f"{item.number:08d}.png"
     pictures = {"image": item.image, "labels": STORED[item.labels], "instances": item.instances}
-    names = {"image": f"images/{stem}", "labels": f"labels/{stem}", "instances": f"instances/{stem}"}
+    names = paths_of("png", item.number)
     return {names[key]: png_bytes(picture) for key, picture in pictures.items()}, dict(names)
 
 
@@ -150,20 +161,19 @@ def _npz(item: Item, axes: Axes) -> tuple[Files, dict[str, Any]]:
         "azimuth_deg": axes.azimuth_deg, "range_edges_m": axes.range_edges_m,
     }  # fmt: skip
     zip_arrays(buffer, arrays)
-    name = f"frames/{item.number:08d}.npz"
-    return {name: buffer.getvalue()}, {"frame": name}
+    names = paths_of("npz", item.number)
+    return {names["frame"]: buffer.getvalue()}, dict(names)
 
 
 def _coco(item: Item, axes: Axes) -> tuple[Files, dict[str, Any]]:
     """The image as PNG. The annotations go into the frame's record, and later into one file for all frames."""
-    name = f"images/{item.number:08d}.png"
-    annotations = []
+    names, annotations = paths_of("coco", item.number), []
     for instance, number, mask, box in _seen(item):
         annotations.append({
             "image_id": item.number + 1, "category_id": number, "instance": instance, "bbox": box,
             "area": int(mask.sum()), "iscrowd": 0, "segmentation": run_lengths(mask),
         })  # fmt: skip
-    return {name: png_bytes(item.image)}, {"image": name, "annotations": annotations}
+    return {names["image"]: png_bytes(item.image)}, names | {"annotations": annotations}
 
 
 def _yolo(item: Item, axes: Axes) -> tuple[Files, dict[str, Any]]:
@@ -177,7 +187,7 @@ def _yolo(item: Item, axes: Axes) -> tuple[Files, dict[str, Any]]:
         middle = (left + columns / 2) / width, (top + rows / 2) / height
         numbers = *middle, columns / width, rows / height
         lines.append(f"{number - 1} {' '.join(f'{v:.6f}' for v in numbers)}\n")
-    names = {"image": f"images/{item.number:08d}.png", "boxes": f"labels/{item.number:08d}.txt"}
+    names = paths_of("yolo", item.number)
     return {names["image"]: png_bytes(item.image), names["boxes"]: "".join(lines).encode()}, dict(names)
 
 

@@ -18,6 +18,7 @@ from jaxtyping import Array, Float, UInt8
 from sonarjax.data.layout import Limits, draw_layout, join_layout, touched_beams
 from sonarjax.engine import Engine
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.given import check_kind, is_number, is_whole, shown
 from sonarjax.render import RenderQuality, Window
 from sonarjax.render.window import render_objects
 from sonarjax.scene import Mesh, Pose
@@ -59,12 +60,15 @@ class FrameSettings:
         Raises:
             SonarjaxError: A setting is outside its range.
         """
-        if not 1 <= self.scenes <= MOST_SCENES:
-            raise SonarjaxError(f"scenes: expected 1 to {MOST_SCENES} objects in a frame, got {self.scenes}")
+        if not (is_whole(self.scenes) and 1 <= self.scenes <= MOST_SCENES):
+            raise SonarjaxError(f"scenes: expected a whole number from 1 to {MOST_SCENES}, got {shown(self.scenes)}")
         if self.sensor not in SENSORS:
             raise SonarjaxError(f"sensor: expected one of {', '.join(SENSORS)}, got {self.sensor!r}")
-        if not 0.0 <= self.severity <= 10.0:
-            raise SonarjaxError(f"severity: expected a number from 0 to 10, got {self.severity:g}")
+        if not (is_number(self.severity) and 0.0 <= self.severity <= 10.0):
+            raise SonarjaxError(f"severity: expected a number from 0 to 10, got {shown(self.severity)}")
+        check_kind(self.quality, RenderQuality, "quality")
+        object.__setattr__(self, "scenes", int(self.scenes))  # numbers of Python, which can be written as JSON
+        object.__setattr__(self, "severity", float(self.severity))
 
 
 class Drawn(NamedTuple):

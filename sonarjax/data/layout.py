@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +20,7 @@ from sonarjax.records import record
 from sonarjax.render import floor_point
 from sonarjax.render.window import Objects
 from sonarjax.scene import Mesh, Pose
-from sonarjax.sonar import Sonar
+from sonarjax.sonar import FloorPatch, Sonar
 
 TRIES = 64
 """Number of places that are drawn for an object. If none of them is free, the object is left out."""
@@ -29,9 +29,11 @@ SPARE_BEAMS = 4
 GAP_M = 0.02
 """Least distance between the circles around two objects [m]."""
 OUTERMOST = 0.9
-"""Central share of the field of view, and of the lit ranges, in which the objects' origins may lie."""
+"""Central share of the angle between the outer beams, and of the lit ranges, in which the objects' origins may lie."""
 AROUND = 64
 """Number of points on a circle from which the azimuths that it covers are found."""
+GRID = 257
+"""Number of ranges, and of azimuths, at which a place on a platform is looked for."""
 
 
 class Limits(NamedTuple):
@@ -67,7 +69,7 @@ def placement_limits(sonar: Sonar, name: str = "sonar") -> Limits:
         name: What an error message begins with.
 
     Raises:
-        SonarjaxError: The sonar sees no floor.
+        SonarjaxError: The sonar sees no floor, or its platform lies outside the limits.
     """
     height, tilt, half = (float(v) for v in (sonar.height, sonar.tilt, sonar.elevation_aperture / 2))
     steep, flat = tilt + half, tilt - half
@@ -80,8 +82,35 @@ def placement_limits(sonar: Sonar, name: str = "sonar") -> Limits:
             f"at ranges from {low:g} to {high:g} m"
         )
     margin = (1 - OUTERMOST) / 2 * (far - near)
-    azimuth = OUTERMOST * np.asarray(sonar.azimuth)
-    return Limits(near + margin, far - margin, float(azimuth.min()), float(azimuth.max()))
+    azimuth = np.asarray(sonar.azimuth)
+    middle, half_view = (azimuth.min() + azimuth.max()) / 2, OUTERMOST * ((azimuth.max() - azimuth.min()) / 2)
+    limits = Limits(near + margin, far - margin, float(middle - half_view), float(middle + half_view))
+    return limits if sonar.floor is None else _on_platform(limits, sonar, name)
+
+
+def _on_platform(limits: Limits, sonar: Sonar, name: str) -> Limits:
+    """The part of `limits` that holds the sonar's platform: few of the places that are drawn are then beside it."""
+    slant, azimuth = np.linspace(*limits[:2], GRID), np.linspace(*limits[2:], GRID)
+    assert sonar.floor is not None
+    on = np.asarray(_is_on(sonar.floor, *floor_point(slant[:, None], azimuth, sonar)))
+    if not on.any():
+        left, right = np.degrees(limits[2:])
+        raise SonarjaxError(
+            f"{name}: floor: expected a platform in view, with places at ranges from {limits.near:.4g} to "
+            f"{limits.far:.4g} m and azimuths from {left:.4g} to {right:.4g} deg"
+        )
+    ends = []
+    for values, there in ((slant, on.any(axis=1)), (azimuth, on.any(axis=0))):
+        first, last = np.flatnonzero(there)[[0, -1]]
+        ends += [float(values[max(first - 1, 0)]), float(values[min(last + 1, GRID - 1)])]
+    return Limits(*ends)
+
+
+def _is_on(floor: FloorPatch, x: Any, y: Any) -> Any:
+    """Whether points of the ground (x, y) [m] lie on a platform."""
+    cos, sin = jnp.cos(jnp.asarray(floor.yaw)), jnp.sin(jnp.asarray(floor.yaw))
+    along, across = cos * (x - floor.x) + sin * (y - floor.y), cos * (y - floor.y) - sin * (x - floor.x)
+    return (jnp.abs(along) <= floor.length / 2) & (jnp.abs(across) <= floor.width / 2)
 
 
 def touched_beams(meshes: Mesh, sonar: Sonar, limits: Limits) -> int | None:
@@ -113,8 +142,9 @@ def touched_beams(meshes: Mesh, sonar: Sonar, limits: Limits) -> int | None:
 def draw_layout(meshes: Mesh, sonar: Sonar, limits: Limits, scenes: int, *, key: Array) -> Layout:
     """Draw one to `scenes` objects of `meshes` (mesh, ...) at random places and yaws that do not overlap.
 
-    The number of objects is drawn uniformly. An object is left out if none of `TRIES` places is free for it. The
-    vertical cylinders around the objects' origins are kept apart, so that objects do not overlap at any yaw.
+    The number of objects is drawn uniformly. An object is left out if none of `TRIES` places is free for it. Where the
+    sonar has a platform, origins lie on it. The vertical cylinders around the objects' origins are kept apart, so that
+    objects do not overlap at any yaw.
     """
     many = meshes.vertices.shape[0]
     # All numbers are drawn in one call, because each separate draw would add compile time.
@@ -129,6 +159,8 @@ def draw_layout(meshes: Mesh, sonar: Sonar, limits: Limits, scenes: int, *, key:
         azimuth = limits.left + (limits.right - limits.left) * share[1]
         x, y = floor_point(slant, azimuth, sonar)
         free = jnp.full(TRIES, number < wanted)
+        if sonar.floor is not None:
+            free &= _is_on(sonar.floor, x, y)
         for _, other_x, other_y, _, radius, there in objects:
             apart = jnp.hypot(x - other_x, y - other_y) > radius + meshes.radius[mesh] + GAP_M
             free &= apart | ~there

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from sonarjax.io.atomic import write_npz, write_png
+from sonarjax.io.console import complain
 from sonarjax.io.errors import SonarjaxError, UnreadableError
 from sonarjax.io.fan import fan_to_polar, polar_to_fan
 from sonarjax.io.fan_geometry import PictureBox, content_box, equal_beams, fan_around, fit_fan
@@ -20,6 +21,9 @@ from sonarjax.io.ros import write_bag
 
 DARKEST = 1 / 255
 """Least value of a measured pixel in a fan picture. Black means not measured, and shows where the sector ends."""
+
+STRETCHED = 0.02
+"""Difference between height and width of a fan picture's pixels from which on a note tells of it [1]."""
 
 
 @dataclass(frozen=True)
@@ -39,9 +43,9 @@ class FanOptions:
     apex: float | None = None
     """Row of the fan picture at which the sonar is [pixels] (default: found from where the outer beams begin)."""
     whole: bool = False
-    """The picture reaches down to the sonar, which is in the middle of its lower edge."""
+    """The picture reaches down to the sonar, which is at its lower edge, below the middle of the fan."""
     frame: bool = False
-    """The fan just fits the picture's frame, rather than the bounding box of its pixels above 0."""
+    """The fan touches all four edges of the picture, rather than those of the box that `content_box` finds."""
     width: int | None = None
     """Columns of the fan picture to make; by default a pixel is as long [m] as a bin, or a beam at mid range if
     shorter.
@@ -76,8 +80,12 @@ FAN_OPTIONS = {
     "--bins": ("N", "to polar: range bins (default: rows of the fan along its middle)"),
     "--beams": ("N", "to polar: beams (default: columns along the fan's arc at mid range)"),
     "--apex": ("ROW", "to polar: row of the picture where the sonar is (default: found from the fan's lower edge)"),
-    "--whole": (None, "to polar: the sonar is at the picture's lower edge"),
-    "--frame": (None, "to polar: the fan fills the picture (default: the bounding box of its pixels above 0)"),
+    "--whole": (None, "to polar: the sonar is at the picture's lower edge (instead of --apex)"),
+    "--frame": (
+        None,
+        "to polar: the fan touches all four edges of the picture (default: its edges are found from the pixels above "
+        "black)",
+    ),
     "--width": ("N", "to fan: columns of the picture (default: pixels the size of a bin, or of a beam if smaller)"),
 }
 """Command-line option for each field of FanOptions -> its argument (None for a switch) and its help text."""
@@ -155,6 +163,8 @@ def _readable(specs: Sequence[str], out: str, report: Callable[[SonarjaxError], 
 def convert(frame: Frame, out: str, options: FanOptions = FanOptions(), axes: PolarAxes | None = None) -> str:
     """Convert a fan picture to a polar frame in an NPZ, or a polar frame to a fan picture in a PNG, and write it.
 
+    A note on stderr tells of a fan picture whose pixels, as its fan was found, are not square.
+
     Args:
         frame: Fan picture (row, column) if `out` ends in .npz, polar frame (range, beam) if it ends in .png.
         out: File to write; its ending says which conversion is wanted.
@@ -164,7 +174,7 @@ def convert(frame: Frame, out: str, options: FanOptions = FanOptions(), axes: Po
             sonar with uneven beams.
 
     Returns:
-        One line that says what was written.
+        One line that says what was written, and where in a fan picture the fan and the sonar were found.
 
     Raises:
         SonarjaxError: `out` has another ending or cannot be written; an option is missing, is for the other direction,
@@ -190,6 +200,8 @@ def convert(frame: Frame, out: str, options: FanOptions = FanOptions(), axes: Po
 def _to_polar(picture: Frame, out: str, options: FanOptions, axes: PolarAxes | None) -> str:
     if picture.geometry is not None:
         raise SonarjaxError(f"{picture.source}: expected a fan picture to make a polar frame of, this is a polar frame")
+    if options.whole and options.apex is not None:
+        raise SonarjaxError("--apex: cannot be used with --whole, which says where the sonar is")
     opening_deg, near, far = _sector(_with_axes(options, axes), "a fan picture, unless --sonar is given")
     rows, columns = picture.shape
     box = PictureBox(0.0, float(rows), 0.0, float(columns)) if options.frame else content_box(picture.image)
@@ -203,8 +215,18 @@ def _to_polar(picture: Frame, out: str, options: FanOptions, axes: PolarAxes | N
     if not mask.any():
         raise SonarjaxError("fan: expected a fan that overlaps the picture, it lies outside")
     write_npz(out, image=image, mask=mask, azimuth_deg=np.degrees(axes.azimuth), range_edges_m=axes.range_edges)
+    if abs(geometry.row_m / geometry.column_m - 1) > STRETCHED:
+        complain(
+            f"{picture.source}: a pixel is {geometry.row_m:.4g} m high and {geometry.column_m:.4g} m wide: unless the "
+            "picture was stretched, the fan is not where it was found, or not as --opening-deg and ranges say: see "
+            "--apex, --whole and --frame",
+            kind="note: ",
+        )
     size = f"{axes.shape[0]} range bins x {axes.shape[1]} beams"
-    return f"{out}: {size}, {_told(opening_deg, near, far)}, {mask.mean():.1%} of the pixels measured"
+    place = f"the fan in rows {box.top:g} to {box.bottom:g} and columns {box.left:g} to {box.right:g}"
+    measured = f"{mask.mean():.1%} of the pixels measured"
+    told = _told(opening_deg, near, far)
+    return f"{out}: {size}, {told}, {measured}; {place}, the sonar at row {geometry.apex_row:.1f}"
 
 
 def _with_axes(options: FanOptions, axes: PolarAxes | None) -> FanOptions:
@@ -245,8 +267,8 @@ def _axes(polar: Frame, options: FanOptions, axes: PolarAxes | None) -> tuple[np
     if not in_file:
         opening_deg, near, far = _sector(options, "a frame without azimuth_deg and range_edges_m")
         return equal_beams(math.radians(opening_deg), beams), np.linspace(near, far, bins + 1)
-    for name in SECTOR:
-        if getattr(options, name) is not None:
+    for name in _told_by_beams(beams):
+        if _given(options, name):
             raise SonarjaxError(f"{_option(name)}: cannot be used: the file itself holds this value")
     edges = np.linspace(held["range_min_m"], held["range_max_m"], bins + 1)
     return np.radians(held["azimuth_deg"]), edges
@@ -256,7 +278,7 @@ def _axes_of_sonar(polar: Frame, options: FanOptions, axes: PolarAxes, in_file: 
     """As `_axes`, from `axes`, unless the file has its own (`in_file`) or an option says something else."""
     if in_file:
         raise SonarjaxError("--sonar: cannot be used: the file itself holds beams and ranges")
-    for name in SECTOR:
+    for name in _told_by_beams(axes.azimuth.size):
         if _given(options, name):
             raise SonarjaxError(f"{_option(name)}: cannot be used with --sonar, which holds this value")
     if polar.shape != axes.shape:
@@ -264,12 +286,17 @@ def _axes_of_sonar(polar: Frame, options: FanOptions, axes: PolarAxes, in_file: 
     return axes.azimuth, axes.range_edges
 
 
+def _told_by_beams(beams: int) -> tuple[str, ...]:
+    """Options of the sector that axes with so many beams make superfluous."""
+    return SECTOR if beams > 1 else SECTOR[1:]
+
+
 def _opening(azimuth: np.ndarray, options: FanOptions) -> float:
     """Full angle [rad] of a fan about the middle beam that holds all beams, the outer ones as wide as their spacing."""
     if options.opening_deg is not None:
         return math.radians(options.opening_deg)
     if azimuth.size == 1:
-        raise SonarjaxError("fan: expected two beams or more, one does not tell the opening")
+        raise SonarjaxError("--opening-deg: required for a frame of one beam, which does not tell the opening")
     outer = 1.5 * azimuth[[0, -1]] - 0.5 * azimuth[[1, -2]]
     return float(2 * np.abs(outer).max())
 

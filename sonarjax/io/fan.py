@@ -11,7 +11,7 @@ takes the value of the nearest measured one, so that edges neither darken nor ri
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Real, Shaped
@@ -19,6 +19,7 @@ from scipy import ndimage
 
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.fan_geometry import FanGeometry
+from sonarjax.io.given import number_array, shown
 from sonarjax.io.npy import PIXEL_LIMIT
 
 LEAST_WEIGHT = 0.01
@@ -57,16 +58,18 @@ def fan_to_polar(
         picture's type.
 
     Raises:
-        SonarjaxError: The picture or shape is empty, an axis does not ascend, is not finite or does not fit `shape`, or
-            there are more than `PIXEL_LIMIT` cells.
+        SonarjaxError: The picture or shape is empty, or is not of two axes; a pixel of the sector or an axis is not
+            finite; an axis does not ascend or does not fit `shape`; `order` is another number; or there are more than
+            `PIXEL_LIMIT` cells.
     """
+    picture = _image("picture", picture, order)
+    azimuth, range_edges = _axis("azimuth", azimuth), _axis("range_edges", range_edges)
     bins, beams = _checked(_polar_shape(geometry, azimuth, range_edges) if shape is None else shape)
-    _checked(picture.shape)
     azimuth = geometry.azimuth(beams) if azimuth is None else azimuth
     range_edges = geometry.range_edges(bins) if range_edges is None else range_edges
     _check_axis("azimuth", azimuth, beams)
     _check_axis("range_edges", range_edges, bins + 1)
-    edges = np.asarray(range_edges, np.float64), _beam_edges(azimuth, geometry.opening)
+    edges = range_edges, _beam_edges(azimuth, geometry.opening)
     inside = _inside(geometry, picture.shape)
     parts = (1, 1) if order == 0 else _parts_of_cell(geometry, *edges)
     return _sample(picture, inside, _places_in_picture(geometry, edges, parts), (bins, beams), order)
@@ -100,15 +103,19 @@ def polar_to_fan(
         sector; elsewhere the picture is 0. The types are as in `fan_to_polar`.
 
     Raises:
-        SonarjaxError: The axes do not fit the image, do not ascend or are not finite; the shape is empty; or there are
-            more than `PIXEL_LIMIT` pixels.
+        SonarjaxError: The image is empty or not of two axes; a measured pixel or an axis is not finite; axes or mask do
+            not fit the image; an axis does not ascend; `order` is another number; the shape is empty; or there are more
+            than `PIXEL_LIMIT` pixels.
     """
-    rows, columns = _checked(shape)
+    image, rows, columns = _image("image", image, order), *_checked(shape)
+    azimuth, range_edges = _axis("azimuth", azimuth), _axis("range_edges", range_edges)
     _check_axis("azimuth", azimuth, image.shape[1])
     _check_axis("range_edges", range_edges, image.shape[0] + 1)
-    edges = np.asarray(range_edges, np.float64), _beam_edges(azimuth, geometry.opening)
+    measured = np.ones(image.shape, bool) if mask is None else np.asarray(number_array(mask, "fan: mask"), bool)
+    if measured.shape != image.shape:
+        raise SonarjaxError(f"fan: mask: expected the image's shape {image.shape}, got {measured.shape}")
+    edges = range_edges, _beam_edges(azimuth, geometry.opening)
     parts = (1, 1) if order == 0 else _parts_of_pixel(geometry, *edges)
-    measured = np.ones(image.shape, bool) if mask is None else mask
     picture, seen = _sample(image, measured, _places_in_image(geometry, shape, edges, parts), (rows, columns), order)
     seen &= _covered(*geometry.places(*_centres(shape)), edges)
     return np.where(seen, picture, picture.dtype.type(0)), seen
@@ -121,6 +128,8 @@ def _sample(
 
     Every item of `places` holds a (row, column) for each cell. A cell is known if a measured pixel is close enough.
     """
+    if not np.isfinite(source[measured]).all():
+        raise SonarjaxError("fan: expected finite values in all pixels that were measured")
     values = source if order == 0 else source.astype(np.float32)
     if not measured.any():
         return np.zeros(shape, values.dtype), np.zeros(shape, bool)
@@ -237,6 +246,22 @@ def _beam_edges(azimuth: np.ndarray, opening: float) -> Float[np.ndarray, "beam_
         return centres + np.array([-opening / 2, opening / 2])
     middle = (centres[1:] + centres[:-1]) / 2
     return np.concatenate([2 * centres[:1] - middle[:1], middle, 2 * centres[-1:] - middle[-1:]])
+
+
+def _image(name: str, values: Any, order: int) -> np.ndarray:
+    """The values as an array of two axes, which may be interpolated with this order."""
+    if order not in (0, 1, 3):
+        raise SonarjaxError(f"fan: order: expected 0, 1 or 3, got {shown(order)}")
+    array = number_array(values, f"fan: {name}")
+    if array.ndim != 2:
+        raise SonarjaxError(f"fan: {name}: expected one grey image of two axes, got shape {array.shape}")
+    _checked(array.shape)
+    return array
+
+
+def _axis(name: str, values: Any) -> Any:
+    """The values as float64; None stays None."""
+    return None if values is None else np.asarray(number_array(values, f"fan: {name}"), np.float64)
 
 
 def _check_axis(name: str, values: np.ndarray, length: int) -> None:

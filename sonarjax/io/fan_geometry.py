@@ -5,9 +5,10 @@ below it, port is on the left, starboard on the right. Publishers resize such pi
 different lengths in metres. Positions in a picture are in pixels from its upper left corner: the first pixel reaches
 from 0 to 1, and its centre is at 0.5.
 
-The rule: the pixels above 0 are the sector, and their bounding box is that of the sector. It is 2 · range_max ·
-sin(opening / 2) wide (twice range_max from 180° on). Its upper edge is where the middle beam ends. Its lower edge is
-where the outer beams begin (range_min · cos(opening / 2) in front of the sonar) or, from 180° on, where they end.
+The rule: the pixels above black are the sector (`content_box`), and their bounding box is that of the sector. It is
+2 · range_max · sin(opening / 2) wide (twice range_max from 180° on). Its upper edge is where the middle beam ends. Its
+lower edge is where the outer beams begin (range_min · cos(opening / 2) in front of the sonar) or, from 180° on, where
+they end.
 """
 
 from __future__ import annotations
@@ -17,10 +18,18 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Real
+from jaxtyping import Bool, Float, Real
+from scipy import ndimage
 
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.npy import PIXEL_LIMIT
+
+FAINT = 8 / 255
+"""Share of full scale up to which a pixel may be the noise of a JPEG."""
+JOINED = 5
+"""Side of the square by which pixels are widened, so that black specks between them do not part a piece [pixels]."""
+SMALL = 1 / 20
+"""Share of the largest piece's pixels below which another piece of a picture is no part of the fan."""
 
 
 class PictureBox(NamedTuple):
@@ -132,10 +141,15 @@ def equal_beams(opening: float | int, beams: int) -> Float[np.ndarray, "beam"]:
 
 
 def content_box(picture: Real[np.ndarray, "row column"]) -> PictureBox:
-    """Find the bounding box of a picture's pixels above 0.
+    """Find the bounding box of the fan in a picture.
+
+    The fan is what lies above 0, without pieces that are small beside the largest one, such as a label. If there is
+    black inside it, the picture may have been a JPEG, whose noise is above 0 around the fan too: then the fan is what
+    lies above `FAINT` of full scale.
 
     Args:
-        picture: Picture (row, column).
+        picture: Picture (row, column). Full scale is the largest number of an unsigned type; of another type it is 1,
+            or the brightest pixel if that is brighter.
 
     Returns:
         The bounding box, along the outer edges of the pixels [pixels].
@@ -143,10 +157,22 @@ def content_box(picture: Real[np.ndarray, "row column"]) -> PictureBox:
     Raises:
         SonarjaxError: No pixel is above 0.
     """
-    rows, columns = (np.flatnonzero((picture > 0).any(axis)) for axis in (1, 0))
-    if rows.size == 0:
+    picture = np.asarray(picture)
+    if not (picture > 0).any():
         raise SonarjaxError("fan: expected pixels above 0, the picture is black")
+    full = np.iinfo(picture.dtype).max if picture.dtype.kind == "u" else max(1.0, float(picture.max()))
+    fan, bright = _large_pieces(picture > 0), picture > FAINT * full
+    if bright.any() and (ndimage.binary_fill_holes(fan) != fan).any():
+        fan = _large_pieces(bright)
+    rows, columns = (np.flatnonzero(fan.any(axis)) for axis in (1, 0))
     return PictureBox(float(rows[0]), float(rows[-1] + 1), float(columns[0]), float(columns[-1] + 1))
+
+
+def _large_pieces(mask: Bool[np.ndarray, "row column"]) -> Bool[np.ndarray, "row column"]:
+    """The pixels of a mask without its small pieces. Black specks, which speckle has, do not part a piece."""
+    pieces, _ = ndimage.label(ndimage.maximum_filter(mask.astype(np.uint8), JOINED))
+    sizes = np.bincount(pieces[mask])
+    return mask & (sizes >= SMALL * sizes.max())[pieces]
 
 
 def fit_fan(

@@ -82,9 +82,19 @@ def is_number(value: Any) -> bool:
     return array.ndim == 0 and array.dtype.kind in "iuf" and not np.isnan(array)
 
 
+def is_whole(value: Any) -> bool:
+    """True for a whole number of Python or NumPy; False for booleans, and for floats even if they are whole."""
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)
+
+
+def is_text(value: Any) -> bool:
+    """True for text that UTF-8 can hold; a file name that is no UTF-8 is read as one that it cannot."""
+    return isinstance(value, str) and value.encode("utf-8", "replace").decode() == value
+
+
 def check_whole(value: Any, least: int, name: str) -> None:
     """Raise a SonarjaxError unless this is a whole number of Python or NumPy of `least` or more."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+    if not is_whole(value) or value < least:
         raise SonarjaxError(f"{name}: expected a whole number of {least} or more, got {shown(value)}")
 
 

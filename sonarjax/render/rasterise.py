@@ -130,7 +130,7 @@ def rasterised(
         return per_beam(beams, finish(jnp.diff(_below(middle - first, half, weights, size), axis=-1)))
 
     if len(first) == 1:
-        return some_rows(first[0])
+        return some_rows(first[0])[:, :rows]
     nothing = jnp.zeros(jax.eval_shape(some_rows, first[0]).shape)
     touched = _touched(middle, half, counts, first, size)
     parts = jax.lax.map(lambda at: jax.lax.cond(at[1], some_rows, lambda _: nothing, at[0]), (first, touched))

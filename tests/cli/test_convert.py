@@ -39,6 +39,7 @@ def test_fan_becomes_a_frame(command, fan, tmp_path):
     code, said, err = command("convert", fan, *SECTOR, "--out", out, "--bins", 200, "--beams", 80)
     assert (code, err) == (0, "")
     assert said.startswith(f"{out}: 200 range bins x 80 beams, opening 29 deg, range 1.5 to 4 m, 100.0% of")
+    assert "; the fan in rows 7 to 261 and columns 7 to 207, the sonar at row 405.8" in said
     assert said.count("\n") == 1
     with np.load(out, allow_pickle=False) as held:
         assert set(held) == {"image", "mask", "azimuth_deg", "range_edges_m"}
@@ -85,6 +86,19 @@ def test_black_frame_is_found_again(command, tmp_path):
     assert command("convert", tmp_path / "a.png", *SECTOR, *options, "--out", tmp_path / "b.npz")[0] == 0
     back = read_frames(tmp_path / "b.npz")[0].image
     assert np.unravel_index(back.argmax(), back.shape) == (30, 12)
+
+
+def test_a_fan_that_does_not_begin_where_it_is_said_is_noted(command, fan, tmp_path):
+    """Its nearest ranges are black: by its lower edge it is stretched, and objects move towards the sonar."""
+    with Image.open(fan) as picture:
+        pixels = np.asarray(picture).copy()
+    pixels[-30:] = 0
+    write_png(tmp_path / "a.png", pixels)
+    code, _, err = command("convert", tmp_path / "a.png", *SECTOR, "--out", tmp_path / "p.npz")
+    assert code == 0 and err.count("\n") == 1
+    assert err.startswith(f"sonarjax: note: {tmp_path / 'a.png'}: a pixel is 0.01103 m high and 0.01002 m wide: unless")
+    apex = ("--apex", 7 + 4 / 0.01)
+    assert command("convert", tmp_path / "a.png", *SECTOR, *apex, "--out", tmp_path / "p.npz")[::2] == (0, "")
 
 
 def test_whole_and_apex_say_the_same(command, fan, tmp_path):
@@ -154,6 +168,25 @@ def test_frame_without_axes_becomes_the_fan_of_a_sonar(command, uneven, tmp_path
     assert one.read_bytes() == other.read_bytes()
 
 
+def test_one_beam_is_as_wide_as_is_told(command, complaint, tmp_path):
+    """By its file or by a sonar it has no width."""
+    out, toml = tmp_path / "p.png", tmp_path / "one.toml"
+    image = np.full((50, 1), 0.5)
+    np.save(tmp_path / "a.npy", image)
+    np.savez(tmp_path / "a.npz", image=image, azimuth_deg=np.zeros(1), range_edges_m=np.linspace(1.5, 4.0, 51))
+    own = "range_min_m = 1.5\nrange_max_m = 4.0\nn_ranges = 50\ntilt_deg = 20\nheight_m = 1\n"
+    toml.write_text(f"{own}azimuth_deg = [0.0]\nelevation_aperture_deg = 14\n")
+    for given in ((tmp_path / "a.npz",), (tmp_path / "a.npy", "--sonar", toml)):
+        needed = "--opening-deg: required for a frame of one beam"
+        assert needed in complaint(2, "convert", *given, "--out", out)
+        assert "--range-max: cannot be used" in complaint(2, "convert", *given, "--range-max", 4, "--out", out)
+        code, said, err = command("convert", *given, "--opening-deg", 20, "--out", out)
+        assert (code, err) == (0, "") and "opening 20 deg, range 1.5 to 4 m" in said
+        with Image.open(out) as picture:
+            assert picture.width == pytest.approx(8 * math.sin(math.radians(10)) / 0.05, abs=1)
+        out.unlink()
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -220,6 +253,7 @@ def test_frame_of_the_right_shape_is_recognized(command, place, fan, tmp_path, s
         (("a.npy", *SECTOR, "--whole", "--out", "p.png"), 2, "--whole: can only be used with a .npz"),
         (("FAN", *SECTOR[:2], "--range-min", 4, "--range-max", 1.5, "--out", "p.npz"), 2, "fan.png: fan: range"),
         (("FAN", "--opening-deg", 0, *SECTOR[2:], "--out", "p.npz"), 2, "fan.png: fan: opening"),
+        (("FAN", *SECTOR, "--whole", "--apex", 0, "--out", "p.npz"), 2, "fan.png: --apex: cannot be used with --whole"),
         (("FAN", *SECTOR, "--apex", 3, "--out", "p.npz"), 2, "fan.png: fan: apex: expected a row below"),
         (("FAN", *SECTOR, "--apex", 7.001, "--out", "p.npz"), 2, "fan.png: fan: expected a fan that overlaps"),
         (("FAN", *SECTOR, "--bins", 1.5, "--out", "p.npz"), 2, "--bins: expected a whole number"),

@@ -4,6 +4,9 @@ import json
 
 import pytest
 
+from sonarjax.cli.targets import mesh_files
+from sonarjax.io import SonarjaxError
+
 
 @pytest.fixture
 def meshes(place, tmp_path):
@@ -49,3 +52,10 @@ def test_targets_that_cannot_be_used(complaint, meshes, place, tmp_path):
     several = ["--target", meshes, "--track"]
     assert "--track: expected a single --target, got 2" in complaint(2, "recognize", place / "a.npz", *several, *rest)
     assert not (tmp_path / "r.jsonl").exists()
+
+
+def test_a_name_that_no_result_can_hold_is_refused_at_once(tmp_path):
+    """On Linux a file name may be any bytes; those that are no UTF-8 are read as surrogates."""
+    with pytest.raises(SonarjaxError, match=r"MESH: 'b\\udcffx.stl': expected a file name in UTF-8"):
+        mesh_files(["b\udcffx.stl"], "MESH")
+    assert mesh_files(["Köder.stl"], "MESH") == {"Köder": "Köder.stl"}

@@ -7,6 +7,7 @@ import io
 import itertools
 import json
 import math
+import os
 from pathlib import Path
 
 import jax
@@ -22,6 +23,7 @@ from sonarjax.data.formats import box_of, run_lengths
 from sonarjax.data.frames import CHUNK, Drawn
 from sonarjax.data.layout import draw_layout, placement_limits
 from sonarjax.io import SonarjaxError, read_frames
+from sonarjax.sonar import PRESETS
 
 SHAPE = (48, 20)
 SONAR = sj.Sonar.preset("didson-hf", tilt=math.radians(20)).replace(
@@ -279,6 +281,65 @@ def test_a_set_whose_settings_another_shard_writes_meanwhile_is_taken_up(make, m
     assert content(make("a", shard=(2, 2))) == content(make("b"))
 
 
+DAMAGES = ("sheet gone", "empty", "cut off", "line gone", "no record", "manifest")
+
+
+@pytest.mark.parametrize(
+    ("format", "what"), [*((name, "file gone") for name in FORMATS), *(("coco", name) for name in DAMAGES)]
+)
+def test_what_is_damaged_is_drawn_again(make, format, what):
+    folder = make("a", CHUNK + 3, format=format)
+    whole = content(folder)
+    part = folder / "parts" / "00000001.jsonl"
+    lines = part.read_text().splitlines(keepends=True)
+    if what == "file gone":
+        last = sorted(p for p in folder.rglob(f"*{CHUNK + 2:08d}.*"))[-1]
+        last.unlink()
+    elif what == "sheet gone":
+        (folder / dataset.SHEET).unlink()
+    elif what == "manifest":
+        (folder / "manifest.jsonl").write_text("")
+    else:
+        text = "".join(lines)
+        damaged = {"empty": "", "cut off": text[:-9], "line gone": "".join(lines[1:]), "no record": "[1]\n" * 3}
+        part.write_text(damaged[what])
+    assert content(make("a", CHUNK + 3, format=format)) == whole
+
+
+def test_a_shard_does_not_complete_a_set_in_which_another_is_damaged(make, tmp_path):
+    make("a", 2 * CHUNK, shard=(1, 2))
+    (tmp_path / "a" / "images" / "00000002.png").unlink()
+    make("a", 2 * CHUNK, shard=(2, 2))
+    assert not (tmp_path / "a" / "manifest.jsonl").exists()
+    make("a", 2 * CHUNK, shard=(1, 2))
+    assert len(manifest(tmp_path / "a")) == 2 * CHUNK
+
+
+@pytest.mark.parametrize("format", FORMATS)
+def test_a_finished_set_is_left_as_it_is(make, format):
+    folder = make("a", 3, format=format)
+    (folder / "README.md").write_text("my own words")
+    (folder / "data.yaml").write_text("train: images/train")
+    before = {p: (p.stat().st_mtime_ns, p.stat().st_ino) for p in folder.rglob("*") if p.is_file()}
+    make("a", 3, format=format)
+    assert {p: (p.stat().st_mtime_ns, p.stat().st_ino) for p in folder.rglob("*") if p.is_file()} == before
+    (folder / "images" / "00000001.png").unlink(missing_ok=True)  # what is drawn again changes no card either
+    make("a", 3, format=format)
+    assert (folder / "README.md").read_text() == "my own words"
+
+
+def test_what_killed_processes_left_is_deleted(make, tmp_path):
+    make("a", 2 * CHUNK, shard=(1, 2))
+    names = [".sonarjax-1.tmp", "images/.sonarjax-2.tmp", "parts/.sonarjax-3.tmp", ".sonarjax-4.tmp"]
+    for name in names:
+        (tmp_path / "a" / name).write_text("half")
+    os.utime(tmp_path / "a" / names[-1], (0, 0))
+    make("a", 2 * CHUNK, shard=(2, 2))  # another shard's manifest, written at this moment, is not deleted
+    assert [name for name in names if (tmp_path / "a" / name).exists()] == names[:1]
+    make("a", 2 * CHUNK)
+    assert not (tmp_path / "a" / names[0]).exists()
+
+
 def test_a_folder_of_something_else_is_refused(make, tmp_path):
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / "thesis.tex").write_text("words")
@@ -293,10 +354,13 @@ def test_a_folder_of_something_else_is_refused(make, tmp_path):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({"format": "tiff"}, "format: expected one of png, npz, coco, yolo"), ({"count": 0}, "count: expected 1"),
+        ({"format": "tiff"}, "format: expected one of png, npz, coco, yolo"),
+        ({"count": 0}, "count: expected a whole number from 1 to"),
         ({"shard": (3, 2)}, "shard: expected"), ({"meshes": {}}, "at least one"),
         ({"sonar": SONAR.replace(tilt=-0.5)}, "sees no floor"),
         ({"sonar": SONAR.replace(range_min=0.1, range_max=0.2)}, "0.2 m"),
+        ({"meshes": {"b\udcff": MESHES["pile"]}}, r"expected names as keys, got 'b\\udcff'"),
+        ({"license": "\udcff"}, r"license: expected a text, got '\\udcff'"),
     ],
 )  # fmt: skip
 def test_bad_settings_are_one_clear_error(make, tmp_path, options, said):
@@ -327,6 +391,33 @@ def test_objects_never_overlap_and_stand_on_lit_floor():
         slant = np.hypot(np.hypot(layouts.pose.x[k], layouts.pose.y[k]), SONAR.height)[: counts[k]]
         assert (slant > limits.near - 1e-3).all() and (slant < limits.far + 1e-3).all()
         assert not layouts.there[k, counts[k] :].any()
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.6])
+def test_objects_stand_on_the_platform(yaw):
+    sonar = SONAR.replace(floor=sj.FloorPatch(2.3, 0.1, 0.8, 0.5, yaw))
+    meshes, limits = sj.stack_meshes(list(MESHES.values())), placement_limits(sonar)
+    draw = jax.jit(jax.vmap(lambda key: draw_layout(meshes, sonar, limits, 2, key=key)))
+    layouts = jax.tree.map(np.asarray, draw(jax.random.split(jax.random.key(1), 200)))
+    assert layouts.there[:, 0].all()
+    x, y = layouts.pose.x[layouts.there] - 2.3, layouts.pose.y[layouts.there] - 0.1
+    along, across = math.cos(yaw) * x + math.sin(yaw) * y, math.cos(yaw) * y - math.sin(yaw) * x
+    for values, side in ((along, 0.8), (across, 0.5)):  # on the platform, and all over it
+        assert 0.4 * side < np.abs(values).max() < 0.5 * side + 1e-5
+
+
+@pytest.mark.parametrize("x", [-2.3, 8.0])
+def test_a_platform_out_of_view_is_one_clear_error(x):
+    with pytest.raises(SonarjaxError, match=r"floor: expected a platform in view, with places at ranges from 2\.08"):
+        placement_limits(SONAR.replace(floor=sj.FloorPatch(x, 0.0, 0.8, 0.8)))
+
+
+def test_objects_lie_between_the_outer_beams():
+    for name in PRESETS:  # symmetric: the outer beams themselves, made smaller
+        sonar = sj.Sonar.preset(name)
+        assert placement_limits(sonar)[2:] == (*(float(0.9 * sonar.azimuth[k]) for k in (0, -1)),)
+    beside = placement_limits(SONAR.replace(azimuth=jnp.radians(jnp.linspace(10.0, 40.0, 20))))
+    assert np.degrees(beside[2:]) == pytest.approx([11.5, 38.5])
 
 
 def _corners(layouts, frame: int, number: int) -> np.ndarray:

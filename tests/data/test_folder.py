@@ -58,6 +58,7 @@ def test_other_sizes_are_resampled(folder):
         ("", "none"),
         ("not json", "manifest.jsonl:1: expected a JSON object"),
         ("[1]", "got list"),
+        ("[" * 100_000, "manifest.jsonl:1: expected a JSON object: maximum recursion"),
         ('{"image": "image_00000.png"}', "labels: expected a file name"),
         ('{"image": "../x.png", "labels": "labels_00000.png"}', "inside the folder"),
         ('{"image": "missing.png", "labels": "labels_00000.png"}', "missing.png: no such file"),

@@ -188,6 +188,36 @@ def test_box_of_a_sector_by_hand():
     assert geometry.polar_shape() == (round(1 / geometry.row_m), round(math.pi / 3 * 1.5 / 0.01))
 
 
+def eight_bit(rng, image=None) -> np.ndarray:
+    """A fan of speckle, or of `image`: 8 bits, 19 black pixels around, and nothing measured is 0."""
+    picture, seen, _ = fan_of(speckled(rng) if image is None else image)
+    return np.pad(np.where(seen, np.maximum(np.rint(255 * picture), 1), 0).astype(np.uint8), 19)
+
+
+def test_box_is_the_fans_whatever_else_a_picture_shows(rng):
+    picture = eight_bit(rng)
+    there = PictureBox(19.0, picture.shape[0] - 19.0, 19.0, picture.shape[1] - 19.0)
+    labelled = picture.copy()
+    labelled[2:9, 3:40] = 255
+    noisy = np.where(picture > 0, picture, rng.integers(0, 9, picture.shape)).astype(np.uint8)
+    compressed = cv2.imdecode(cv2.imencode(".jpg", picture, (cv2.IMWRITE_JPEG_QUALITY, 95))[1], cv2.IMREAD_GRAYSCALE)
+    black_specks = np.where(rng.random(picture.shape) < 0.4, 0, picture)
+    assert [content_box(one) for one in (picture, labelled, noisy)] == [there] * 3
+    np.testing.assert_allclose(content_box(picture / np.float32(255)), there)
+    np.testing.assert_allclose(content_box(compressed), there, atol=1)
+    np.testing.assert_allclose(content_box(black_specks), there, atol=2)
+    assert (compressed > 0)[16].any() and (compressed > 0)[:, 16].any()  # its noise reaches out of the fan
+
+
+def test_box_holds_a_dark_fan_and_both_sides_of_a_band_that_was_not_measured(rng):
+    dark = np.zeros((BINS, BEAMS), np.float32)
+    dark[100, 40] = 1.0
+    picture, cut = eight_bit(rng, dark), eight_bit(rng)
+    cut[120:160] = 0
+    there = PictureBox(19.0, picture.shape[0] - 19.0, 19.0, picture.shape[1] - 19.0)
+    assert content_box(picture) == content_box(cut) == there
+
+
 def test_window_is_read_off_the_sides(rng):
     """Of a picture resized to other scales, whose publishers do not tell at which range it begins."""
     picture, _, _ = fan_of(speckled(rng) + np.float32(0.1), near=1.6)

@@ -99,6 +99,14 @@ def test_bins_that_no_span_touches_are_dark():
     np.testing.assert_allclose(shares, expected, atol=5e-4)
 
 
+@pytest.mark.parametrize("rows", [1, 2, 31])
+def test_fewer_bins_than_are_taken_at_a_time(spans, rows):
+    middle, half, present, _ = (jnp.asarray(v) for v in spans)
+    few, all_bins = (covered(middle % 40, half, present, EACH, count) for count in (rows, ROWS))
+    assert few.shape == (rows, SLABS) and np.any(few)
+    np.testing.assert_allclose(few, all_bins[:rows], atol=1e-5)
+
+
 def test_an_accelerator_takes_all_rows_at_once(spans, monkeypatch):
     middle, half, present, _ = (jnp.asarray(v) for v in spans)
     in_parts = covered(middle, half, present, EACH, ROWS)
