@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.given import check_whole, is_number, several, shown
 from sonarjax.match.ncc import PreparedBank, match_positions, prepare_bank
 from sonarjax.match.search import MIN_VALID, Match, TargetSearch, coarse_of, decimated, mid_fan, rounded_up
 from sonarjax.render import TemplateBank, WindowSize, template_bank
@@ -42,8 +43,12 @@ class LeanSearchConfig:
 
     def __post_init__(self) -> None:
         """Raise a SonarjaxError for counts below 1, no lift, or angles that are not positive."""
-        if min(self.yaw_bins, self.candidates) < 1 or not self.lifts:
-            raise SonarjaxError(f"LeanSearchConfig: expected counts of 1 or more and at least one lift, got {self}")
+        check_whole(self.yaw_bins, 1, "yaw_bins")
+        check_whole(self.candidates, 1, "candidates")
+        lifts = several(self.lifts)
+        if not lifts or not all(is_number(lift) and math.isfinite(lift) for lift in lifts):
+            raise SonarjaxError(f"lifts: expected at least one finite number [m], got {shown(self.lifts)}")
+        object.__setattr__(self, "lifts", tuple(float(lift) for lift in lifts))
         if not (0 < self.lean < math.pi / 2 and 0 < self.apart < math.pi):
             raise SonarjaxError(f"LeanSearchConfig: expected positive angles for lean and apart, got {self}")
 

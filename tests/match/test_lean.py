@@ -44,8 +44,8 @@ def test_a_clean_image_is_matched_with_its_attitude(search):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"yaw_bins": 0}, "counts of 1 or more"),
-        ({"lifts": ()}, "at least one lift"),
+        ({"yaw_bins": 0}, "yaw_bins: expected a whole number of 1 or more"),
+        ({"lifts": ()}, "lifts: expected at least one finite number"),
         ({"lean": 0.0}, "positive angles"),
     ],
 )
