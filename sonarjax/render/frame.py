@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt8
 
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.given import shown
 from sonarjax.records import record, static
 from sonarjax.sonar import Sonar
 
@@ -24,12 +26,11 @@ class RenderQuality:
     """
 
     def __post_init__(self) -> None:
-        """Raise a SonarjaxError for a number below 1."""
-        if self.sub_beams < 1 or self.elevations < 1:
-            raise SonarjaxError(
-                f"RenderQuality: expected sub_beams and elevations of at least 1, got {self.sub_beams} and "
-                f"{self.elevations}"
-            )
+        """Raise a SonarjaxError for anything but a whole number of 1 or more."""
+        for name in ("sub_beams", "elevations"):
+            value = getattr(self, name)
+            if not isinstance(value, int | np.integer) or value < 1:
+                raise SonarjaxError(f"RenderQuality: {name}: expected a whole number of 1 or more, got {shown(value)}")
 
 
 @record

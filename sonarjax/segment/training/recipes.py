@@ -32,7 +32,11 @@ RULES: Rules = (
 NETWORK_RULES: Rules = (
     ("width discriminator_width", _whole, COUNT),
     ("decay_steps", lambda v: _whole(v, 0), "a whole number of 0 or more"),
-    ("multipliers", lambda v: type(v) is tuple and len(v) == 7 and all(map(_whole, v)), "a tuple of 7 whole numbers of 1 or more"),
+    (
+        "multipliers",
+        lambda v: type(v) is tuple and len(v) == 7 and all(map(_whole, v)),
+        "a tuple of 7 whole numbers of 1 or more",
+    ),
     ("learning_rate", lambda v: 0 < v < math.inf, "a finite number above 0"),
     ("distance adversarial cross_entropy", lambda v: 0 <= v < math.inf, "a finite number of 0 or more"),
     ("beta1 beta2 ema_decay", lambda v: 0 <= v < 1, "a number from 0 to below 1"),
