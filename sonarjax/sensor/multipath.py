@@ -88,8 +88,9 @@ def render_bounces(
         quality: How finely to render.
 
     Returns:
-        A frame (range, beam). Its intensity is the echoes' energy times the model's bounce coefficients, its highlight
-        says where they are. It has no shadow and no floor.
+        A frame (range, beam). Its intensity is the echoes' energy times the model's bounce coefficients. Its highlight
+        is the share of each pixel that the object's mirror images cover, the largest of them. It has no shadow and no
+        floor.
 
     Raises:
         SonarjaxError: The numbers of meshes and poses differ, one of them is a batch, or a pose (unless traced) is not
