@@ -68,7 +68,8 @@ class Settings:
     segmenter: Literal["pix2pix", "none", "otsu"] = "pix2pix"
     """What makes the map that is matched."""
     threshold: float = math.nan
-    """Least score of a recognized target; NaN for the segmenter's own. Tracking asks for the segmenter's NCC."""
+    """Least score of a recognized target; NaN for the segmenter's own. Where that is a rule's probability, tracking
+    asks for the segmenter's own NCC."""
     track: bool = False
     """Refine a source's frames from the last one's pose instead of recognizing each anew."""
     track_on: Literal["map", "frame", "belief"] = "map"

@@ -60,10 +60,10 @@ class Ablation:
         names = 0 if _numeric(tables[0]) else len(in_order(tables[0], "value"))
         figure = style.sheet(style.TWO_COLUMNS, max(2.6, 1.1 + 0.2 * names) + 1.8 * (len(tables) - 1))
         axes = figure.subplots(len(tables), len(self.panels), squeeze=False)
-        for line, vary, rows in zip(axes, self.sweeps, tables, strict=True):
+        for line, vary, run, rows in zip(axes, self.sweeps, runs, tables, strict=True):
             for ax, (title, keys) in zip(line, self.panels.items(), strict=True):
                 if WAY in keys:
-                    _way(ax, rows)
+                    _way(ax, rows, run.report["settings"].get("width"))
                 elif _numeric(rows):
                     _over_numbers(ax, rows, keys, title in self.log)
                     ax.set_xlabel(SWEEPS[vary].varied)
@@ -113,12 +113,12 @@ def _by_name(ax: Axes, rows: Sequence[dict[str, Any]], keys: Sequence[str], firs
     ax.set_yticks([-k for k in range(len(names))], names if first else [""] * len(names))
 
 
-def _way(ax: Axes, rows: Sequence[dict[str, Any]]) -> None:
-    """The IoU of each training over the images that it has seen."""
+def _way(ax: Axes, rows: Sequence[dict[str, Any]], width: int | None) -> None:
+    """The IoU of each training, of networks of this width, over the images that it has seen."""
     for number, row in enumerate(rows):
         color, line = style.PALETTE[number % len(style.PALETTE)], LINES[number // len(style.PALETTE) % len(LINES)]
         ax.plot(row[WAY]["images"], row[WAY]["iou_mean"], color=color, linestyle=line, label=row["value"], linewidth=1)
-    ax.set_xlabel("images seen")
+    ax.set_xlabel("images seen" if width is None else f"images seen, width {width}")
     ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), handlelength=1.4)
 
 
@@ -186,9 +186,9 @@ SCRIPTS = {
     ),
     "ext11_training": Ablation(
         "Ext. 11",
-        "Short trainings of thin networks that differ in one thing from the first (eq. 3 as the paper has it): IoU "
-        "(filled), that of highlight (hollow) and of shadow (×) and PSNR gain on the same validation pairs at the end, "
-        "and the IoU on the way. Lines: the first.",
+        "Trainings that differ in one thing from the first (eq. 3 as the paper has it), of the width and length that "
+        "the last panel says: IoU (filled), that of highlight (hollow) and of shadow (×) and PSNR gain on the same "
+        "validation pairs at the end, and the IoU on the way. Lines: the first.",
         ("training",),
         {"IoU": ("iou_mean", "iou_highlight", "iou_shadow"), "PSNR gain [dB]": ("psnr_gain_db",),
          "IoU on the way": (WAY,)},

@@ -118,14 +118,14 @@ def keep_memory() -> bool:
 class CpuEngine(Engine):
     """An engine with a thread for each core, and with programs that are traced once and then read from disk."""
 
-    def __init__(self, folder: Path | None = None) -> None:
+    def __init__(self, folder: str | os.PathLike[str] | None = None) -> None:
         """Choose where traced programs are stored.
 
         Args:
             folder: Folder of the programs; None means next to the compilation cache, or nowhere if there is no cache.
         """
         compiled = getattr(jax.config, _CACHE)
-        self._folder = folder or (Path(compiled) / "programs" if compiled else None)
+        self._folder = Path(folder) if folder else Path(compiled) / "programs" if compiled else None
         self._programs: dict[Any, Future[Any]] = {}
         self._lock = threading.Lock()
         self._busy = threading.local()
@@ -139,8 +139,8 @@ class CpuEngine(Engine):
     def run(self, function: Callable[..., Any], *args: Any, **static: Any) -> Any:
         """Call a function under `jax.jit`, with its traced program from disk if an earlier process stored it.
 
-        A program is compiled only once, however many threads ask for it. Without a folder, or if an argument is traced,
-        this is a plain call.
+        A program is compiled only once, however many threads ask for it. Only functions of this package are stored. Any
+        other function is just called, and so is every function without a folder or with a traced argument.
 
         Args:
             function: The function.
@@ -150,7 +150,8 @@ class CpuEngine(Engine):
         Returns:
             What the function returns.
         """
-        if self._folder is None or any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(args)):
+        traced = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(args))
+        if self._folder is None or traced or not _is_ours(function):
             return function(*args, **static)
         leaves, program = self._program(function, args, static)
         return program.result()(leaves)
@@ -159,14 +160,14 @@ class CpuEngine(Engine):
         """Trace a function now for arguments of these shapes, and compile it in the background.
 
         Tracing in the background as well would be slower: Python traces on one thread at a time, while the compiler
-        runs without Python. Without a folder, nothing is done.
+        runs without Python. Nothing is done without a folder, or for a function that is not of this package.
 
         Args:
             function: The function under `jax.jit` that `run` will call.
             *args: Arguments of the same shapes and types.
             **static: Its static arguments, by name.
         """
-        if self._folder is not None:
+        if self._folder is not None and _is_ours(function):
             self._program(function, args, static, wait=False)
 
     def _program(
@@ -285,6 +286,14 @@ def _name(item: tuple[str, Any]) -> str:
 def _plain_type(value: Any) -> Any:
     """The type that JAX gives to a plain Python number."""
     return np.bool_ if isinstance(value, bool) else np.int32 if isinstance(value, int) else np.float32
+
+
+def _is_ours(function: Any) -> bool:
+    """Whether a function's name and the package's source say what it computes.
+
+    Two closures share one name, and the code of a user's function may change.
+    """
+    return str(function.__module__).startswith("sonarjax.") and "<" not in getattr(function, "__qualname__", "<")
 
 
 def _lowered(function: Callable[..., Any], args: Any, static: dict[str, Any], folder: Path) -> Any:

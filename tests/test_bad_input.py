@@ -12,12 +12,15 @@ import sys
 import pytest
 
 PREPARED = """
-import json, os, sys
+import json, math, os, sys
 from dataclasses import replace
 import jax, numpy as np, trimesh
 import sonarjax as sj
 from sonarjax.data import FrameSettings, Pairs, export_pairs, make_dataset
 from sonarjax.io import Frame
+from sonarjax.segment.step import GanConfig
+from sonarjax.segment.training import PRESETS, find_recipe, train
+from sonarjax.sensor import observe_scene
 
 path = sys.argv[1]
 box = trimesh.creation.box((0.2, 0.1, 0.06))
@@ -30,6 +33,11 @@ two = sj.stack_meshes([m, m])
 coarse = sj.SearchConfig(decimation=65)
 listed = sj.RefineConfig(blurs=[3, 1], margin=[8, 2])
 painted = replace(m, reflectivity=np.ones(3))
+both = sj.Pose([2.3, 2.4], 0.0, 0.8)
+tilted, model, smoke = s.replace(tilt=np.array([0.3, 0.4])), sj.SensorModel(), PRESETS["smoke"]
+frames = sj.SonarFrame(*[np.stack([v, v]) for v in (im, im, im, im > 0)], np.zeros(2, int), s)
+bank = lambda **given: sj.template_bank(**{"mesh": m, "sonar": s, "yaws": [0.3], "x": 2.3} | given)
+networks = lambda **given: find_recipe(replace(smoke, networks=GanConfig(**given)))
 recognizer = sj.Recognizer(m, s, segmenter="none", refine=None)
 network = sj.load_segmenter()
 to_polar, to_fan, fan = sj.io.fan_to_polar, sj.io.polar_to_fan, sj.io.fan_around(0.4, 2.0, 3.0, 0.02)[0]
@@ -98,6 +106,45 @@ CASES = {
     "sj.render(replace(two, reflectivity=np.ones((2, 3))), p, s)": f"mesh: {FACTORS}(2, 3)",
     "jax.jit(lambda r: sj.render(replace(m, reflectivity=r), p, s))(np.ones(3))": f"mesh: {FACTORS}(3,)",
     "sj.template_bank(painted, s, [0.0], x=2.3)": f"mesh: {FACTORS}(3,)",
+    # A batch in place of one, or the other way round
+    "sj.render(m, p, tilted)": "sonar: expected one sonar, got a batch: use jax.vmap",
+    "sj.render([two, m], [p, p], s)": "mesh: expected a sequence of single meshes and poses, got a batch in it",
+    "sj.render([m, m], [p, both], s)": "mesh: expected a sequence of single meshes and poses, got a batch in it",
+    "sj.render(two, sj.Pose([2.3, 2.4, 2.5]), s)": "pose: expected a shape that broadcasts with (2,) of the meshes, ",
+    "sj.render(m, sj.Pose(np.zeros(0)), s)": "pose: expected one or more, got shape (0,)",
+    "sj.observe(frames, model, key=key)": "frame: expected one frame, got shape (2, 64, 16): use jax.vmap",
+    "sj.observe(frame, model, key=jax.random.split(key))": "key: expected one key (such as jax.random.key(0)), got ",
+    "observe_scene(m, both, s, model, key=key)": "pose: expected one pose of one mesh, got shapes (2,) and ()",
+    "observe_scene(m, p, tilted, model, key=key)": "sonar: expected one sonar, got a batch: use jax.vmap",
+    "bank(mesh=two)": "mesh: expected one mesh, got a stack of shape (2,)",
+    "bank(sonar=tilted)": "sonar: expected one sonar, got a batch: use jax.vmap",
+    # Banks, noise and training
+    "bank(mesh='m.stl')": f"mesh: {MESH}'m.stl'",
+    "bank(sonar=None)": f"sonar: {SONAR}None",
+    "bank(yaws='a')": "yaws: expected numbers, got 'a'",
+    "bank(x=math.nan)": "x: expected a finite number of metres, got nan",
+    "bank(x='2')": "x: expected a finite number of metres, got '2'",
+    "bank(z='q')": "z: expected numbers, got 'q'",
+    "bank(margin=(-5, -5))": "margin: expected two whole numbers of 0 or more, got '(-5, -5)'",
+    "bank(quality=3)": "quality: expected a RenderQuality, got 3",
+    "bank(size=sj.WindowSize((8, 8)))": "size: expected one that holds WindowSize(shape=(",
+    "sj.render(m, p, s, quality=3)": "quality: expected a RenderQuality, got 3",
+    "sj.RenderQuality(math.nan)": "sub_beams: expected a whole number of 1 or more, got nan",
+    "sj.RenderQuality(2, 1.5)": "elevations: expected a whole number of 1 or more, got 1.5",
+    "sj.observe(None, model, key=key)": "frame: expected a SonarFrame, got None",
+    "sj.observe(frame, None, key=key)": "model: expected a SensorModel, got None",
+    "sj.observe(frame, model, key=0)": "key: expected one key (such as jax.random.key(0)), got 0",
+    "observe_scene(m, p, None, model, key=key)": f"sonar: {SONAR}None",
+    "observe_scene(m, p, s, model, key=0)": "key: expected one key (such as jax.random.key(0)), got 0",
+    "networks(normaliser='bogus')": "recipe: networks.normaliser: expected one of affine, per_image, got 'bogus'",
+    "networks(head='bogus')": "recipe: networks.head: expected one of tanh, classes, got 'bogus'",
+    "networks(inputs=None)": "recipe: networks.inputs: expected one of grey, ranks, got None",
+    "networks(backend='bogus')": "recipe: networks.backend: expected one of auto, ",
+    "networks(dtype='bogus')": "recipe: networks.dtype: expected one of float32, bfloat16, got 'bogus'",
+    "networks(learning_rate='1')": "recipe: networks.learning_rate: expected a finite number above 0, got '1'",
+    "find_recipe(replace(smoke, batch=2.5))": "recipe: batch: expected a whole number of 1 or more, got 2.5",
+    "find_recipe(['smoke'])": "preset: expected a str, got a list",
+    "train('smoke', None)": "run_dir: expected a folder, got None",
     # Something else in place of an image
     "sj.calibrate(['a.npy'], m, s)": f"frames[0]: expected numbers, got 'a.npy'{READ}",
     "sj.calibrate('folder', m, s)": "frames: expected a sequence of images (range, beam), got 'folder'",

@@ -23,6 +23,9 @@ def powers(x, *, count):
     return jnp.stack([x**k for k in range(count)])
 
 
+powers.__module__ = "sonarjax.powers"  # as a function of the package, because no other is stored
+
+
 # ---------------------------------------------------------------- flags
 
 
@@ -61,6 +64,39 @@ def test_plain_numbers_pass_as_they_do_through_jit(tmp_path):
     found = cpu.CpuEngine(tmp_path).run(powers, 2.0, count=3)
     np.testing.assert_array_equal(found, [1.0, 2.0, 4.0])
     assert found.dtype == jnp.float32
+
+
+def test_a_folder_may_be_named_by_text(tmp_path):
+    cpu.CpuEngine(str(tmp_path)).run(powers, jnp.arange(3.0), count=2)
+    assert len(list(tmp_path.glob("*.bin"))) == 1
+
+
+def times(factor):
+    return jax.jit(lambda x: x * factor)
+
+
+def closure(factor):
+    def scaled(x):
+        return x * factor
+
+    scaled.__module__ = "sonarjax.powers"
+    return jax.jit(scaled)
+
+
+def user_function(factor):
+    """As a script that is edited between two runs: another function of the same name."""
+    code: dict = {"__name__": "script"}
+    exec(f"def scaled(x): return x * {factor}", code)
+    return jax.jit(code["scaled"])
+
+
+@pytest.mark.parametrize("make", [times, closure, user_function, lambda c: partial(jnp.multiply, c)])
+def test_only_functions_of_the_package_are_stored(make, tmp_path):
+    for factor in (2.0, 3.0):
+        engine = cpu.CpuEngine(tmp_path)
+        engine.prepare(make(factor), np.float32(1.0))
+        assert float(engine.run(make(factor), np.float32(1.0))) == factor
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(("unoptimised", "wanted"), [(False, cpu.COMPILER_OPTIONS), (True, None)])

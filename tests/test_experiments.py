@@ -194,6 +194,20 @@ def test_combined_is_numpys_mean_and_spread(rng: np.random.Generator):
         np.testing.assert_allclose([[row["x"], row["deep"]["y"]] for row in found["rows"]], wanted)
 
 
+def test_combined_merges_whole_numbers_and_leaves_out_what_a_seed_lacks():
+    def mean(values: list[float]) -> float:
+        return sum(values) / len(values)
+
+    ours = {"errors": 0, "frames": 144, "score": 1, "rate": None, "right": True, "none": None}
+    theirs = {"errors": 5, "frames": 144, "score": 0.5, "rate": 0.25, "right": False, "none": None}
+    for pair in ([ours, theirs], [theirs, ours]):
+        found = combined(pair, mean)
+        assert found | {"right": True} == {
+            "errors": 2.5, "frames": 144, "score": 0.75, "rate": 0.25, "right": True, "none": None
+        }  # fmt: skip
+        assert found["right"] is pair[0]["right"]
+
+
 # ---------------------------------------------------------------- runs and their parts
 
 

@@ -256,6 +256,17 @@ def test_every_script_is_indexed_and_every_row_has_a_script(runs: Path) -> None:
     assert {cells[1].strip("`") for cells in index.rows(runs)} == {f"{name}.py" for name in alone | {"ablations"}}
 
 
+def test_every_picture_has_a_script_and_every_experiment_named_is_there() -> None:
+    figures = PROJECT / "paper_figs"
+    pictures = {path.stem for path in (figures / "drawn").glob("*.png")}
+    drawings = {*docs_pages.DRAWINGS, *(path.stem for path in figures.glob("docs_*.py"))}
+    assert pictures <= {*index.scripts(), *drawings}
+    table = (figures / "README.md").read_text(encoding="utf-8")
+    names = re.findall(r"-m experiments\.(\w+)", table)
+    assert names and all((PROJECT / "experiments" / f"{name}.py").is_file() for name in names)
+    assert {*re.findall(r"ablate --vary (\w+)", table)} == {*ablate.SWEEPS}
+
+
 def test_drawn_slice_shows_what_a_ray_would_meet() -> None:
     """The faces that are seen, by hand: front and top of each box, and the front of the far one above the near one."""
     seen = np.concatenate(

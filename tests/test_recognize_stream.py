@@ -176,6 +176,19 @@ def test_a_tracker_that_lost_its_object_recognizes_anew(sonar, frames):
     assert finder.last is None
 
 
+def test_tracking_asks_for_a_correlation_where_there_is_one():
+    plain = sj.load_segmenter("otsu")
+    ruled = replace(sj.load_segmenter("none"), threshold=0.2)
+    assert plain.rule is None and ruled.rule is not None
+    assert stream.least_correlation(plain, None) == plain.threshold
+    assert stream.least_correlation(plain, 0.6) == 0.6
+    assert stream.least_correlation(ruled, 0.6) == 0.2  # 0.6 is a probability
+    assert stream.least_correlation(replace(plain, threshold=None), 0.6) == 0.6
+    for segmenter, threshold in ((replace(plain, threshold=None), None), (replace(ruled, threshold=None), 0.6)):
+        with pytest.raises(SonarjaxError, match="threshold: tracking needs one"):
+            stream.least_correlation(segmenter, threshold)
+
+
 def test_files_are_taken_in_natural_order(tmp_path):
     for name in ("b.npz", "a10.npz", "a9.npz", "a9b.png", "A.PNG", "a.txt"):
         (tmp_path / name).touch()

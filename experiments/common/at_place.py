@@ -53,8 +53,8 @@ def scores_at_place(
 def judged_at_place(scores: np.ndarray, frames: Sequence[TestFrame]) -> dict[str, float]:
     """Accuracy and correlations of scores (frame, yaw) whose yaws are spread evenly over the circle, from 0.
 
-    `score_own` is the template's of the nearest bin, `score_wrong` the best of those 30° or more from it (as in Table
-    4), `score_other` the best for frames of the other object.
+    `score_own` is the template's of the nearest bin, `score_wrong` the best of those more than 25° from the true yaw,
+    `score_other` the best for frames of the other object.
     """
     own = np.array([frame.is_target for frame in frames])
     true, count = np.array([frame.yaw for frame in frames]), scores.shape[1]

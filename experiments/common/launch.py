@@ -193,15 +193,21 @@ def field_docstrings(settings: type) -> dict[str, str]:
 
 
 def combined(values: Sequence[Any], merge: Callable[[list[float]], Any]) -> Any:
-    """Reports of several seeds as one: numbers merged, all else as in the first. Lists keep the shortest length."""
+    """Reports of several seeds as one: numbers merged, all else as in the first. Lists keep the shortest length.
+
+    A number that some seeds lack (None) is merged from the others. What is the same whole number in all stays one.
+    """
     first = values[0]
     if isinstance(first, dict):
         return {k: combined([v[k] for v in values], merge) for k in first if all(k in v for v in values)}
     if isinstance(first, list):
         return [combined(rows, merge) for rows in zip(*values, strict=False)]
-    if isinstance(first, float):
-        return merge([v for v in values if isinstance(v, (int, float))])
-    return first
+    numbers = [v for v in values if v is not None]
+    if not numbers or any(isinstance(v, bool) or not isinstance(v, int | float) for v in numbers):
+        return first
+    if all(isinstance(v, int) and v == numbers[0] for v in numbers):
+        return numbers[0]
+    return merge(numbers)
 
 
 def mean_and_spread(values: list[float]) -> Any:

@@ -149,10 +149,12 @@ class Finder:
         return replace(found, **pose, hypotheses=own), followed
 
     def _tracked(self, frame: Frame, last: sj.Pose) -> Recognition | None:
-        """The pose refined from the last one; None when its template correlates less than the threshold."""
+        """The pose refined from the last one; None when its template correlates less than the threshold.
+
+        Raises SonarjaxError if there is no threshold.
+        """
         mesh, sonar, on = self.mesh, self.sonar, self.tracked_on
-        limit = on.threshold
-        assert limit is not None  # each segmenter of a stream has its own
+        limit = least_correlation(on, self.threshold)
         semantic = on.semantic(frame.image, frame.mask, engine())
         how: dict[str, Any] = {"config": MAP_REFINEMENT, "engine": engine()}
         estimate = sj.refine_yaw(semantic, mesh, sonar, last, mask=frame.mask, **how)
@@ -168,6 +170,18 @@ class Finder:
             yaw_bin=math.nan, yaw=yaw, yaw_std=std, x=x, y=y, scores_by_yaw=np.empty(0),
             hypotheses=(Hypothesis(yaw, refined, std, settled),), segmenter=on.name, semantic=np.asarray(semantic),
         )  # fmt: skip
+
+
+def least_correlation(segmenter: sj.Segmenter, threshold: float | None) -> float:
+    """What a tracked template must correlate with the map: the `threshold` of recognition, or the segmenter's own.
+
+    Where a rule recognizes, the threshold of recognition is a probability, and only the segmenter's own serves. Raises
+    SonarjaxError where it has none.
+    """
+    limit = segmenter.threshold if threshold is None or segmenter.rule is not None else threshold
+    if limit is None:
+        raise SonarjaxError(f"threshold: tracking needs one, and the segmenter {segmenter.name} has none of its own")
+    return limit
 
 
 def _inflation(found: Recognition) -> float:

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Int
 
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import OutOfViewError, SonarjaxError
+from sonarjax.io.given import check_kind, is_number, number_array, shown
 from sonarjax.records import record
 from sonarjax.render.frame import RenderQuality
 from sonarjax.render.region import (
@@ -24,7 +25,7 @@ from sonarjax.render.region import (
     place_window,
     plan_window,
 )
-from sonarjax.render.simulate import one_by_one, with_enough_room
+from sonarjax.render.simulate import check_sonar_alone, one_by_one, with_enough_room
 from sonarjax.render.visibility import EXACT_LIMIT
 from sonarjax.render.window import render_window
 from sonarjax.scene import Mesh, Pose
@@ -97,26 +98,30 @@ def template_bank(
         roll: Roll [rad], one number or one for each yaw (yaw,).
         pitch: Pitch [rad], one number or one for each yaw (yaw,).
         quality: How finely to render.
-        margin: Range bins and beams around what the object touches at any yaw.
-        size: Size of the window to render. Banks at several places share compiled code if they share it. None plans it
-            for this place.
+        margin: Range bins and beams (0 or more) around what the object touches at any yaw.
+        size: Size of the window to render. Banks at several places share compiled code if they share it. It must hold
+            the object at this place (`WindowSize.holds`). None plans it for this place.
         engine: Runs the compiled functions.
 
     Returns:
         The bank, with templates (yaw, range, beam).
 
     Raises:
-        SonarjaxError: `yaws` is empty or not finite; z, roll or pitch is not finite or has another length; or the
-            mesh's reflectivity has.
+        SonarjaxError: An argument is of another kind, or a batch; `yaws` is empty; a number is not finite; z, roll,
+            pitch or the mesh's reflectivity has another length; `margin` is negative; or `size` is too small.
         OutOfViewError: The object is outside the sonar's view.
     """
+    _check_given(mesh, sonar, quality, margin, {"x": x, "y": y})
     check_reflectivity(mesh, "mesh")
-    yaws = np.atleast_1d(np.asarray(yaws, np.float32))
+    yaws = np.atleast_1d(number_array(yaws, "yaws")).astype(np.float32)
     if yaws.ndim != 1 or yaws.size == 0 or not np.isfinite(yaws).all():
         raise SonarjaxError(f"yaws: expected a non-empty list of finite angles [rad], got shape {yaws.shape}")
     attitudes = _attitudes(yaws, {"z": z, "roll": roll, "pitch": pitch})
     room = _quick(leaning_room(mesh, attitudes[:, 1].max(), *np.abs(attitudes[:, 2:]).max(axis=0)))
-    size = size or plan_window(room, sonar, float(np.hypot(x, y)), row_step=ROW_STEP)
+    planned = plan_window(room, sonar, float(np.hypot(x, y)), row_step=ROW_STEP if size is None else 1)
+    size = size or planned
+    if not size.holds(planned):
+        raise SonarjaxError(f"size: expected one that holds {planned}, what this place needs, got {size}")
     place = np.float32(x), np.float32(y)
     views = _all_views(room, sonar, attitudes, place, size, quality, engine)
     images, (row, column) = views.images, views.corner
@@ -132,6 +137,19 @@ def template_bank(
     return TemplateBank(*(jax.device_put(v) for v in (crop, yaws, offset, *place, np.float32(sonar.tilt))))
 
 
+def _check_given(mesh: Mesh, sonar: Sonar, quality: RenderQuality, margin: Any, place: dict[str, Any]) -> None:
+    check_kind(mesh, Mesh, "mesh")
+    if mesh.closed.shape:
+        raise SonarjaxError(f"mesh: expected one mesh, got a stack of shape {mesh.closed.shape}")
+    check_sonar_alone(sonar)
+    check_kind(quality, RenderQuality, "quality")
+    if np.shape(margin) != (2,) or not all(isinstance(v, int | np.integer) and v >= 0 for v in margin):
+        raise SonarjaxError(f"margin: expected two whole numbers of 0 or more, got {shown(str(margin))}")
+    for name, value in place.items():
+        if not is_number(value) or not np.isfinite(value):
+            raise SonarjaxError(f"{name}: expected a finite number of metres, got {shown(value)}")
+
+
 def _quick(mesh: Mesh) -> Mesh:
     """The mesh without slabs that end at its sharp edges, if it has too many of these and of triangles.
 
@@ -145,7 +163,7 @@ def _quick(mesh: Mesh) -> Mesh:
 def _attitudes(yaws: np.ndarray, others: dict[str, Any]) -> np.ndarray:
     """Yaw, z, roll and pitch of each template (yaw, 4). Raises SonarjaxError for a wrong shape or non-finite number."""
     for name, value in others.items():
-        if np.shape(value) not in ((), yaws.shape) or not np.isfinite(np.asarray(value)).all():
+        if np.shape(value) not in ((), yaws.shape) or not np.isfinite(number_array(value, name)).all():
             raise SonarjaxError(f"{name}: expected a finite number or one for each of {len(yaws)} yaws")
     return np.stack([yaws, *(np.broadcast_to(np.asarray(v, np.float32), yaws.shape) for v in others.values())], axis=1)
 

@@ -49,11 +49,23 @@ def render(
         A frame (*batch, range, beam). `*batch` is the shape of `pose`, broadcast with that of stacked meshes.
 
     Raises:
-        SonarjaxError: An argument is of another kind, the numbers of meshes and poses differ, a pose (unless traced)
-            is not finite or absurdly far away, or a reflectivity has another length than the mesh has triangles.
+        SonarjaxError: An argument is of another kind; the numbers of meshes and poses differ, or a sequence holds a
+            batch; there is no pose, or the poses do not fit the stacked meshes; the sonar is a batch; a reflectivity
+            has another length than the mesh has triangles; or a pose (unless traced) is not finite or absurdly far
+            away.
     """
-    check_kind(sonar, Sonar, "sonar")
+    check_sonar_alone(sonar)
+    check_kind(quality, RenderQuality, "quality")
     mesh, pose = one_scene(mesh, pose)
+    stacked = mesh.closed.shape
+    if 0 in pose.shape:
+        raise SonarjaxError(f"pose: expected one or more, got shape {pose.shape}")
+    try:
+        np.broadcast_shapes(pose.shape, stacked)
+    except ValueError:
+        raise SonarjaxError(
+            f"pose: expected a shape that broadcasts with {stacked} of the meshes, got {pose.shape}"
+        ) from None
     return with_enough_room(lambda roomy: _render(roomy, pose, sonar, quality), mesh)
 
 
@@ -65,9 +77,28 @@ def one_scene(mesh: Mesh | Sequence[Mesh], pose: Pose | Sequence[Pose]) -> tuple
     if isinstance(mesh, Mesh):
         check_kind(pose, Pose, "pose")
     poses = listed(pose, Pose, "pose")
-    for place in poses:
-        check_pose(place)
+    for one in poses:
+        check_pose(one)
+    if not isinstance(mesh, Mesh) and any((*m.closed.shape, *p.shape) for m, p in zip(meshes, poses, strict=False)):
+        raise SonarjaxError("mesh: expected a sequence of single meshes and poses, got a batch in it: use jax.vmap")
     return (meshes[0], poses[0]) if isinstance(mesh, Mesh) else place_together(meshes, poses)
+
+
+def single_scene(mesh: Mesh | Sequence[Mesh], pose: Pose | Sequence[Pose]) -> tuple[Mesh, Pose]:
+    """As `one_scene`, for functions that take no batch. Raises SonarjaxError for one."""
+    mesh, pose = one_scene(mesh, pose)
+    if mesh.closed.shape or pose.shape:
+        raise SonarjaxError(
+            f"pose: expected one pose of one mesh, got shapes {pose.shape} and {mesh.closed.shape}: use jax.vmap"
+        )
+    return mesh, pose
+
+
+def check_sonar_alone(sonar: Sonar) -> None:
+    """Raise a SonarjaxError for a batch of sonars, or for anything that is no sonar."""
+    check_kind(sonar, Sonar, "sonar")
+    if sum(np.ndim(number) for number in jax.tree.leaves(sonar)) != 1:  # of `azimuth`
+        raise SonarjaxError("sonar: expected one sonar, got a batch: use jax.vmap")
 
 
 def with_enough_room(rendered: Callable[[Mesh], Any], mesh: Mesh) -> Any:

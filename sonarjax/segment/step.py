@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -50,7 +50,7 @@ class GanConfig:
     """Whether the generator has skip connections."""
     inputs: Inputs = "grey"
     """What the generator is given of an image: the `grey` itself, or `ranks`, which no display law changes."""
-    dtype: str = "float32"
+    dtype: Literal["float32", "bfloat16"] = "float32"
     """Type of the maps: `float32`, or `bfloat16` for GPUs."""
     backend: Backend = "auto"
     """How the layers are computed, see `layers`."""

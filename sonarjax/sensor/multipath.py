@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sonarjax.render import RenderQuality, SonarFrame, Window
-from sonarjax.render.simulate import one_scene
+from sonarjax.render.simulate import single_scene
 from sonarjax.render.window import render_afloat
 from sonarjax.scene import Mesh, Pose
 from sonarjax.sensor.model import SensorModel
@@ -88,14 +88,15 @@ def render_bounces(
         quality: How finely to render.
 
     Returns:
-        A frame (range, beam). Its intensity is the echoes' energy times the model's bounce coefficients, its highlight
-        says where they are. It has no shadow and no floor.
+        A frame (range, beam). Its intensity is the echoes' energy times the model's bounce coefficients. Its highlight
+        is the share of each pixel that the object's mirror images cover, the largest of them. It has no shadow and no
+        floor.
 
     Raises:
-        SonarjaxError: The numbers of meshes and poses differ, or a pose (unless traced) is not finite or absurdly far
-            away.
+        SonarjaxError: The numbers of meshes and poses differ, one of them is a batch, or a pose (unless traced) is not
+            finite or absurdly far away.
     """
-    mesh, pose = one_scene(mesh, pose)
+    mesh, pose = single_scene(mesh, pose)
 
     def echo(mirror: tuple[Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
         plane, path, left = mirror

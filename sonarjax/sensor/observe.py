@@ -12,8 +12,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sonarjax.exact import full_precision
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.given import check_kind, shown
 from sonarjax.render import RenderQuality, SonarFrame, render
-from sonarjax.render.simulate import one_scene, with_enough_room
+from sonarjax.render.simulate import check_sonar_alone, single_scene, with_enough_room
 from sonarjax.scene import Mesh, Pose
 from sonarjax.sensor.beams import (
     beam_gains,
@@ -77,9 +79,15 @@ def observe(
 
     Returns:
         Grey image (range, beam) of 256 values from 0 to 1.
+
+    Raises:
+        SonarjaxError: An argument is of another kind, or a batch.
     """
+    check_kind(frame, SonarFrame, "frame")
+    if frame.intensity.ndim != 2:
+        raise SonarjaxError(f"frame: expected one frame, got shape {frame.intensity.shape}: use jax.vmap")
+    gains_key, texture_key, speckle_key = _keys(model, key)
     sonar = frame.sonar
-    gains_key, texture_key, speckle_key = jax.random.split(key, 3)
     energy = received_energy(frame, model, bounces) * beam_gains(sonar.n_beams, model.beam_gain_std, key=gains_key)
     energy = energy * gamma_texture(sonar.shape, model.texture, key=texture_key)
     energy = _with_oddities(energy, sonar, model, key=jax.random.fold_in(key, 3))
@@ -89,6 +97,15 @@ def observe(
     energy = energy * jnp.maximum(energy.mean(), 1e-6) ** -agc
     law = model.gain, model.log_share, model.dynamic_range, model.exponent, model.saturation, model.black
     return quantise(compress(energy, *law))
+
+
+def _keys(model: SensorModel, key: jax.Array) -> Array:
+    """Three keys for `observe`. Raises SonarjaxError unless there are a sensor model and one key."""
+    check_kind(model, SensorModel, "model")
+    try:
+        return jax.random.split(key, 3)
+    except (TypeError, ValueError) as error:
+        raise SonarjaxError(f"key: expected one key (such as jax.random.key(0)), got {shown(key)}") from error
 
 
 def _with_oddities(energy: Array, sonar: Sonar, model: SensorModel, *, key: jax.Array) -> Array:
@@ -192,10 +209,12 @@ def observe_scene(
         The observed image (range, beam), and the clean frame behind it.
 
     Raises:
-        SonarjaxError: The numbers of meshes and poses differ, or a pose (unless traced) is not finite or absurdly far
-            away.
+        SonarjaxError: An argument is of another kind, or a batch; the numbers of meshes and poses differ; or a pose
+            (unless traced) is not finite or absurdly far away.
     """
-    mesh, pose = one_scene(mesh, pose)
+    check_sonar_alone(sonar)
+    _keys(model, key)
+    mesh, pose = single_scene(mesh, pose)
     found = with_enough_room(lambda roomy: _observe_scene(roomy, pose, sonar, model, key, quality), mesh)
     return found.image, found.frame
 

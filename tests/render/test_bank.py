@@ -8,7 +8,7 @@ import pytest
 
 from sonarjax.engine import Engine
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.render import RenderQuality, bank_place, floor_point, image_azimuth, render, template_bank
+from sonarjax.render import RenderQuality, WindowSize, bank_place, floor_point, image_azimuth, render, template_bank
 from sonarjax.render.region import leaning_room, plan_window
 from sonarjax.render.visibility import EXACT_LIMIT
 from sonarjax.scene import Mesh, Pose, objects
@@ -144,9 +144,16 @@ def test_bad_yaws_are_refused(brick, yaws):
 
 @pytest.mark.parametrize(("x", "y"), [(6.0, 0.0), (-2.2, 0.0), (2.2, 2.0), (0.4, 0.0)])
 @pytest.mark.parametrize("planned", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_out_of_view_is_refused(brick, roomy, x, y, planned):
+def test_out_of_view_is_refused(brick, x, y, planned):
+    whole = WindowSize(SONAR.shape)
     with pytest.raises(SonarjaxError, match="outside the sonar's view"):
-        template_bank(brick, SONAR, [0.0, 1.0], x=x, y=y, size=None if planned else roomy)
+        template_bank(brick, SONAR, [0.0, 1.0], x=x, y=y, size=None if planned else whole)
+
+
+def test_a_window_that_would_cut_the_object_is_refused(brick):
+    far = plan_window(brick, SONAR, 3.5)
+    with pytest.raises(SonarjaxError, match="size: expected one that holds"):
+        template_bank(brick, SONAR, [0.0], x=1.7, size=far)
 
 
 def test_floor_point_is_the_inverse_of_image_azimuth():

@@ -21,7 +21,8 @@ CONVERGED = 6  # sub-beams of the render that is differenced
 MESHES = {"target": objects.target, "ball": objects.ball, "brick": objects.brick}
 SCENES = 6  # a mesh
 NAMES = ("yaw", "x", "y", "tilt", "height", "shape")
-# Three steps of each, averaged: longer than the image's own roughness, shorter than its curvature.
+# Three steps of each, longer than the image's own roughness, shorter than its curvature. Their median counts: in
+# float32 a sliver of the limb may flicker at one of them.
 STEPS = np.array(
     [
         [4e-3, 6e-3, 9e-3],
@@ -87,12 +88,12 @@ def scenes(seed):
 
 
 def differences(mesh, p, row, column, target):
-    """Central differences (2, 6) of the converged render, averaged over three steps."""
+    """Central differences (2, 6) of the converged render, the median of three steps."""
     steps = np.eye(6)[:, None] * STEPS[..., None]  # (parameter, step, 6)
     points = np.stack([p + steps, p - steps]).reshape(-1, 6)
     values = np.asarray(converged(mesh, jnp.asarray(points, jnp.float32), row, column, target), np.float64)
     up, down = values.reshape(2, *STEPS.shape, 2)
-    return ((up - down) / (2 * STEPS[..., None])).mean(1).T
+    return np.median((up - down) / (2 * STEPS[..., None]), axis=1).T
 
 
 def compare(mesh, seed):
@@ -130,9 +131,9 @@ def test_pose_gradients(derivatives, loss, parameter):
         f"{np.percentile(error, 95):.3f}, sign right in {right:.3f} of {clear.sum()}"
     )
     assert np.isfinite(ours).all()
-    assert np.median(error) <= 0.08
-    assert np.percentile(error, 95) <= 0.25
-    assert right >= 0.98
+    assert np.median(error) <= 0.05
+    assert np.percentile(error, 95) <= 0.18
+    assert right == 1.0
 
 
 def stepped_cylinder():
@@ -164,8 +165,9 @@ def test_sonar_and_vertex_gradients(derivatives, loss, parameter):
     error = np.abs(ours - theirs) / rms
     print(f"\n{NAMES[parameter]}: error / RMS median {np.median(error):.3f}, 95 % {np.percentile(error, 95):.3f}")
     assert np.isfinite(ours).all() and (ours != 0).all()
-    assert np.median(error) <= 0.15
-    assert np.corrcoef(ours, theirs)[0, 1] > 0.9
+    assert np.median(error) <= 0.1
+    assert np.percentile(error, 95) <= 0.4
+    assert np.corrcoef(ours, theirs)[0, 1] > 0.98
 
 
 @pytest.mark.slow

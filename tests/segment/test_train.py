@@ -178,13 +178,23 @@ def test_pairs_of_validation_are_no_pairs_of_training(folder):
 @pytest.mark.parametrize(
     ("changes", "complaint"),
     [
-        ({"batch": 0}, "batch: expected 1 or more"),
+        ({"batch": 0}, "batch: expected a whole number of 1 or more, got 0"),
+        ({"run_seed": -1}, "run_seed: expected a whole number of 0 or more, got -1"),
+        ({"largest_loss": float("nan")}, "largest_loss: expected a number above 0, got nan"),
         ({"pairs": 4}, "at least one batch of 8"),
         ({"discriminative": True}, "networks.head: expected `classes`"),
         ({"sets": 2}, "sets: expected 1 "),
         ({"mirrored": -0.1}, "mirrored: expected a share from 0 to 1, got -0.1"),
         ({"plain": 1.5}, "plain: expected a share from 0 to 1, got 1.5"),
         ({"plain": float("nan")}, "plain: expected a share"),
+        ({"networks": GanConfig(width=0)}, "networks.width: expected a whole number of 1 or more, got 0"),
+        ({"networks": GanConfig(decay_steps=-5)}, "networks.decay_steps: expected a whole number of 0 or more, got -5"),
+        ({"networks": GanConfig(multipliers=(1, 2))}, "networks.multipliers: expected a tuple of 7 whole numbers"),
+        ({"networks": GanConfig(learning_rate=-1.0)}, "networks.learning_rate: expected a finite number above 0"),
+        ({"networks": GanConfig(distance=float("nan"))}, "networks.distance: expected a finite number of 0 or more"),
+        ({"networks": GanConfig(ema_decay=2.0)}, "networks.ema_decay: expected a number from 0 to below 1, got 2.0"),
+        ({"networks": GanConfig(class_weights=(0.0, 0.0, 0.0))}, "networks.class_weights: expected a tuple of 3 "),
+        ({"networks": GanConfig(class_weights=(1.0, -1.0, 1.0))}, "networks.class_weights: expected a tuple of 3 "),
         (
             {"networks": GanConfig(cross_entropy=20.0)},
             "networks.head: expected `classes` for cross_entropy 20, got `tanh`",
@@ -220,9 +230,12 @@ def test_step_size_falls_along_half_a_cosine():
     assert find_recipe("gpu").networks.decay_steps == find_recipe("gpu").steps
 
 
-def test_folder_must_hold_enough(folder, tmp_path):
+def test_folder_must_be_there_and_hold_enough_before_the_run_begins(folder, tmp_path):
     with pytest.raises(SonarjaxError, match="expected 104 pairs or more, got 36"):
         train(tiny_recipe(folder, pairs=100), tmp_path / "run")
+    with pytest.raises(SonarjaxError, match="nowhere"):
+        train(tiny_recipe(tmp_path / "nowhere"), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.slow

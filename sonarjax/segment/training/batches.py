@@ -37,14 +37,18 @@ class Batches:
     """The batches of a recipe, by number; a context manager that ends its thread."""
 
     def __init__(self, recipe: Recipe, engine: Engine = PLAIN) -> None:
-        """Make nothing yet; `engine` will make the pairs."""
-        self._recipe, self.engine = recipe, engine
+        """Read the recipe's folder of pairs, if it has one; pairs that `engine` makes are made later.
+
+        Raises SonarjaxError if the folder cannot be used.
+        """
+        self._recipe, self._engine = recipe, engine
+        self._given = None if recipe.source is None else _imported(recipe)
         self._sets: dict[int, Future[Stored]] = {}
         self._over = threading.Event()
         self._maker = ThreadPoolExecutor(1, "pairs")
 
     def batch(self, step: int) -> Stored:
-        """The pairs of step `step`, counted from 0. Raises SonarjaxError if the recipe's folder cannot be used."""
+        """The pairs of step `step`, counted from 0."""
         recipe = self._recipe
         epoch, inside = divmod(step, recipe.epoch_steps)
         pairs = self._set(epoch // recipe.passes)
@@ -53,10 +57,16 @@ class Batches:
         image, labels = (_chosen(mirrored, layer[rows, :, ::-1], layer[rows]) for layer in pairs)
         return Stored(_chosen(plain, STORED[labels], image), labels)
 
+    def validation(self) -> Stored:
+        """The pairs of `validation_set`."""
+        return validation_set(self._recipe, self._engine) if self._given is None else self._given[1]
+
     def _set(self, number: int) -> Stored:
+        if self._given is not None:
+            return self._given[0]
         for wanted in (number, number + 1):
             if wanted not in self._sets and wanted < self._recipe.sets:
-                self._sets[wanted] = self._maker.submit(_make_set, self._recipe, wanted, self._over, self.engine)
+                self._sets[wanted] = self._maker.submit(_make_set, self._recipe, wanted, self._over, self._engine)
         for old in [n for n in self._sets if n < number]:
             del self._sets[old]
         return self._sets[number].result()
@@ -88,8 +98,6 @@ def _chosen(which: np.ndarray, images: np.ndarray, others: np.ndarray) -> np.nda
 
 
 def _make_set(recipe: Recipe, number: int, over: threading.Event, engine: Engine) -> Stored:
-    if recipe.source is not None:
-        return _imported(recipe)[0]
     return _made(recipe, "train", number * recipe.pairs, recipe.pairs, over, engine)
 
 

@@ -21,9 +21,10 @@ from tqdm import tqdm
 
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.given import shown
 from sonarjax.segment.step import GanState, create_state
 from sonarjax.segment.tiled import TILE
-from sonarjax.segment.training.batches import Batches, Stored, validation_set
+from sonarjax.segment.training.batches import Batches, Stored
 from sonarjax.segment.training.checkpoint import Checkpoints
 from sonarjax.segment.training.devices import (
     anywhere,
@@ -83,11 +84,14 @@ def train(
             the last checkpoint before that is kept.
     """
     recipe = find_recipe(preset)
+    if not isinstance(run_dir, str | os.PathLike):
+        raise SonarjaxError(f"run_dir: expected a folder, got {shown(run_dir)}")
     join_processes()
     folder = Path(run_dir)
-    open_run(recipe, folder, resume)
-    with StopWish() as wish, Checkpoints(folder / "checkpoints") as checkpoints, Batches(recipe, engine) as batches:
-        return _Run(recipe, folder, checkpoints, batches, wish).finish()
+    with StopWish() as wish, Batches(recipe, engine) as batches:  # a folder of pairs is read before the run begins
+        open_run(recipe, folder, resume)
+        with Checkpoints(folder / "checkpoints") as checkpoints:
+            return _Run(recipe, folder, checkpoints, batches, wish).finish()
 
 
 class _Run:
@@ -180,7 +184,7 @@ class _Run:
     def _evaluate(self) -> tuple[dict[str, float], np.ndarray]:
         """Validation metrics of the averaged generator, and its semantic maps."""
         if self.validation is None:
-            self.validation = validation_set(self.recipe, self.batches.engine)
+            self.validation = self.batches.validation()
         weights = local_copy(self.state.weights())
         grey = predict_all(self.recipe.networks, weights, self.validation)
         return score(grey, self.validation), grey

@@ -4,13 +4,64 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from sonarjax.data import PairSettings
 from sonarjax.data.pairs import PAPER_PAIRS, PAPER_SETTINGS
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.given import check_kind, shown
 from sonarjax.segment.step import GanConfig
+
+
+def _whole(value: Any, least: int = 1) -> bool:
+    return type(value) is int and value >= least
+
+
+Rules = tuple[tuple[str, Callable[[Any], bool], str], ...]
+COUNT = "a whole number of 1 or more"
+RULES: Rules = (
+    ("batch pairs passes sets validation_pairs checkpoint_steps log_steps", _whole, COUNT),
+    ("run_seed", lambda v: _whole(v, 0), "a whole number of 0 or more"),
+    ("mirrored plain", lambda v: 0 <= v <= 1, "a share from 0 to 1"),
+    ("largest_loss", lambda v: v > 0, "a number above 0"),
+)
+"""Fields of a recipe, what must hold of each, and how that is said."""
+NETWORK_RULES: Rules = (
+    ("width discriminator_width", _whole, COUNT),
+    ("decay_steps", lambda v: _whole(v, 0), "a whole number of 0 or more"),
+    (
+        "multipliers",
+        lambda v: type(v) is tuple and len(v) == 7 and all(map(_whole, v)),
+        "a tuple of 7 whole numbers of 1 or more",
+    ),
+    ("learning_rate", lambda v: 0 < v < math.inf, "a finite number above 0"),
+    ("distance adversarial cross_entropy", lambda v: 0 <= v < math.inf, "a finite number of 0 or more"),
+    ("beta1 beta2 ema_decay", lambda v: 0 <= v < 1, "a number from 0 to below 1"),
+    (
+        "class_weights",
+        lambda v: type(v) is tuple and len(v) == 3 and min(v) >= 0 and 0 < sum(v) < math.inf,
+        "a tuple of 3 finite numbers of 0 or more, not all 0",
+    ),
+)
+"""The same of its networks."""
+
+
+def _check(prefix: str, values: Any, rules: Rules) -> None:
+    """Raise a SonarjaxError for the first field that breaks its rule, or is none of the words of its Literal."""
+    kinds = {name: kind for name, kind in get_type_hints(type(values)).items() if get_origin(kind) is Literal}
+    words = [(name, get_args(kind).__contains__, f"one of {', '.join(get_args(kind))}") for name, kind in kinds.items()]
+    for names, holds, expected in (*rules, *words):
+        for name in names.split():
+            value = getattr(values, name)
+            try:
+                fits = holds(value)
+            except TypeError:  # it cannot be compared with numbers
+                fits = False
+            if not fits:
+                raise SonarjaxError(f"recipe: {prefix}{name}: expected {expected}, got {shown(value)}")
 
 
 @dataclass(frozen=True)
@@ -78,12 +129,8 @@ class Recipe:
         Raises:
             SonarjaxError: It cannot be followed.
         """
-        for name in ("batch", "pairs", "passes", "sets", "validation_pairs", "checkpoint_steps", "log_steps"):
-            if getattr(self, name) < 1:
-                raise SonarjaxError(f"recipe: {name}: expected 1 or more, got {getattr(self, name)}")
-        for name in ("mirrored", "plain"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise SonarjaxError(f"recipe: {name}: expected a share from 0 to 1, got {getattr(self, name)}")
+        _check("", self, RULES)
+        _check("networks.", self.networks, NETWORK_RULES)
         if self.pairs < self.batch:
             raise SonarjaxError(f"recipe: pairs: expected at least one batch of {self.batch}, got {self.pairs}")
         if self.discriminative and self.networks.head != "classes":
@@ -181,6 +228,7 @@ def find_recipe(preset: str | Recipe) -> Recipe:
     """
     if isinstance(preset, Recipe):
         return preset.checked()
+    check_kind(preset, str, "preset")
     if preset not in PRESETS:
         raise SonarjaxError(f"training: unknown preset {preset!r}, expected one of: {', '.join(PRESETS)}")
     return PRESETS[preset].checked()
