@@ -45,7 +45,7 @@ class Sonar:
     frequency: Scalar = 1.8e6
     """Acoustic frequency [Hz]."""
     sound_speed: Scalar = 1480.0
-    """Speed of sound in water [m/s]."""
+    """Speed of sound in water [m/s]. Rendering does not use it: ranges are in metres already."""
     pulse_length: Scalar = 0.0
     """Length of a pulse in range, c·t/2 [m]; at least one range bin is used."""
     beam_width: Scalar = 0.0
