@@ -93,6 +93,8 @@ CASES = {
     "recognizer(im, starts=[sj.Pose(x=[2.2, 2.3])])": "starts: expected single poses, got a batch of them in one Pose",
     "sj.Mesh.load(box)": "path: expected that of a mesh file, got a Trimesh: Mesh.from_arrays takes arrays",
     "sj.track([im], m)": "recognizer: expected a Recognizer, got a Mesh",
+    "sj.track([im, im], recognizer, sonar_poses=3)": "sonar_poses: expected one for each frame, got 3",
+    "sj.track([im, im], recognizer, masks=True)": "masks: expected one for each frame, got True",
     "recognizer(im, starts=[(2.3, 0.0, 0.8)])": f"starts[0]: {POSE}a tuple",
     "sj.PoseFinder(m, 's.toml')": f"sonar: {SONAR}'s.toml'",
     "sj.PoseFinder('x.stl', s)": f"mesh: {MESH}'x.stl'",

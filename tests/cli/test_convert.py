@@ -169,13 +169,13 @@ def test_frame_without_axes_becomes_the_fan_of_a_sonar(command, uneven, tmp_path
 
 
 def test_one_beam_is_as_wide_as_is_told(command, complaint, tmp_path):
-    """By its file or by a sonar it has no width."""
+    """The opening of a frame of one beam is asked for, whatever the width of the sonar's beam."""
     out, toml = tmp_path / "p.png", tmp_path / "one.toml"
     image = np.full((50, 1), 0.5)
     np.save(tmp_path / "a.npy", image)
     np.savez(tmp_path / "a.npz", image=image, azimuth_deg=np.zeros(1), range_edges_m=np.linspace(1.5, 4.0, 51))
     own = "range_min_m = 1.5\nrange_max_m = 4.0\nn_ranges = 50\ntilt_deg = 20\nheight_m = 1\n"
-    toml.write_text(f"{own}azimuth_deg = [0.0]\nelevation_aperture_deg = 14\n")
+    toml.write_text(f"{own}azimuth_deg = [0.0]\nbeam_width_deg = 1\nelevation_aperture_deg = 14\n")
     for given in ((tmp_path / "a.npz",), (tmp_path / "a.npy", "--sonar", toml)):
         needed = "--opening-deg: required for a frame of one beam"
         assert needed in complaint(2, "convert", *given, "--out", out)

@@ -142,8 +142,6 @@ BAD = {
     "a leaning sonar": (
         (GOOD,), {"sonar_poses": replace(POSES, roll=POSES.x + 0.1)}, "sonar_pose: expected z, roll and pitch of 0",
     ),
-    "one number for poses": ((GOOD,), {"sonar_poses": 3}, "sonar_poses: expected one for each frame, got 3"),
-    "one mask": ((GOOD,), {"masks": True}, "masks: expected one for each frame, got True"),
     "times back": ((GOOD,), {"times": [1.0, 0.0]}, "times: expected 2 finite numbers that do not decrease"),
     "times not finite": ((GOOD,), {"times": [0.0, np.nan]}, "times: expected 2 finite numbers"),
 }  # fmt: skip
