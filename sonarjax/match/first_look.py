@@ -56,7 +56,7 @@ def leading(found: Sequence[Mapping[str, Sighting]], config: SearchConfig) -> li
     Targets are ordered by the better of their scores in map and frame. The first two need not be within `lead`.
 
     Args:
-        found: Sightings by target name: those in the map, then those in the frame itself.
+        found: One mapping from target name to sighting for the map, and one for the frame.
         config: Its `candidates` and `lead` limit which targets are taken.
 
     Returns:

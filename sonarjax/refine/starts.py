@@ -177,7 +177,7 @@ def curve_evidence(in_map: Candidate, in_frame: Candidate | None) -> dict[str, f
     """Measure how far the peak of the scores over yaw stands out in map and frame, and its height in the frame.
 
     `map_rise` and `frame_rise` are the highest score minus the fourth highest. `map_drop` and `frame_drop` are the
-    highest score minus the mean of those 10° to either side. `frame_peak` is the highest score in the frame.
+    highest score minus the mean of the two scores 10° before and after it. `frame_peak` is the frame's highest score.
 
     Args:
         in_map: The match in the map.
