@@ -20,7 +20,7 @@ def sector_of(picture: Real[np.ndarray, "row column"], opening: float) -> FanGeo
     The width between the sides grows evenly from the sonar on: where it would be 0 is the apex, and how far in front
     of it the sides begin gives the smallest range. Raises SonarjaxError for a black picture.
     """
-    box = content_box((picture > 0).astype(np.uint8))
+    box = content_box((picture > 0).astype(np.uint8))  # 0 and 1: dark pixels belong to these fans too
     rows = np.arange(int(box.top), int(box.bottom))
     seen = picture[rows] > 0
     widths = seen.shape[1] - seen[:, ::-1].argmax(axis=1) - seen.argmax(axis=1)

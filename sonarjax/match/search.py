@@ -36,7 +36,7 @@ MIN_VALID = 0.5
 """Least share of a template's pixels that were measured, where part of the frame is masked."""
 NOT_SEEN = "{}: at no distance inside the sonar's view is any part of it visible"
 """Error message; the target's name goes in."""
-SHIFTED = 8, 8
+SLACK = 8, 8
 """Coarse rows and columns by which a rounded-up template can at least be shifted where it was rendered."""
 KEPT_COMPACT = 4
 """Number of banks that a target of a catalogue keeps: those of the distances used last."""
@@ -312,7 +312,7 @@ def rounded_up(
     whose first pixel is `first` in the `frame`. Returns the templates, and rows and columns that were added before.
     """
     added = [(0, 0)]
-    for size, start, most, slack in zip(templates.shape[1:], first, frame, SHIFTED, strict=True):
+    for size, start, most, slack in zip(templates.shape[1:], first, frame, SLACK, strict=True):
         wanted = min(-size % 32, most - size)
         behind = min(wanted, max(most - size - start - slack, 0))
         added.append((min(wanted - behind, max(start - slack, 0)), behind))

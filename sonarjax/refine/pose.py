@@ -147,7 +147,7 @@ def _refine_views(
     """`refine_pose` for several views."""
     if is_traced(images, mask, mesh, sonar, start, sonar_poses):
         raise SonarjaxError("sonar_poses: expected no traced values, because views are refined on the host")
-    _check_kinds(mesh, sonar, start, config)
+    _check_given(mesh, sonar, start, config)
     images = np.asarray(image_array(images, "image"), np.float32)
     sonars = check_views(images, sonar_poses, start, sonar)
     weights = np.asarray(np.ones(images.shape) if mask is None else number_array(mask, "mask"), np.float32)
@@ -182,7 +182,7 @@ def search_pose(
     `hold` puts back numbers that the frame does not determine. Without it this is not checked, and nothing counts as
     observable.
     """
-    _check_kinds(mesh, sonar, start, config)
+    _check_given(mesh, sonar, start, config)
     traced = is_traced(image, mask, mesh, sonar, start)
     array = jnp if traced else np  # NumPy slices and joins on the host without compiling anything
     image = array.asarray(image if traced else image_array(image, "image"), np.float32)
@@ -218,7 +218,7 @@ def search_pose(
     return jax.tree.map(lambda *v: jax.device_put(np.stack(v).reshape((*axes, *v[0].shape))), *found)
 
 
-def _check_kinds(mesh: Any, sonar: Any, start: Any, config: Any) -> None:
+def _check_given(mesh: Any, sonar: Any, start: Any, config: Any) -> None:
     """Raise a SonarjaxError where one of them is something else, where the start is none or not finite, and where mesh
     or sonar are several.
     """
@@ -293,7 +293,7 @@ def plan_refinement(
     Raises:
         SonarjaxError: An argument is of another kind.
     """
-    _check_kinds(mesh, sonar, start, config)
+    _check_given(mesh, sonar, start, config)
     if is_traced(start, sonar, mesh):
         return WindowSize(sonar.shape, sonar.n_beams)
     bounds = [config.bound(name) if name in free else 0.0 for name in ("z", "roll", "pitch")]

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int
 
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import OutOfViewError, SonarjaxError
-from sonarjax.io.given import check_kind, is_number, number_array, shown
+from sonarjax.io.given import check_kind, is_number, is_whole, number_array, shown
 from sonarjax.records import record
 from sonarjax.render.frame import RenderQuality
 from sonarjax.render.region import (
@@ -143,7 +143,7 @@ def _check_given(mesh: Mesh, sonar: Sonar, quality: RenderQuality, margin: Any, 
         raise SonarjaxError(f"mesh: expected one mesh, got a stack of shape {mesh.closed.shape}")
     check_sonar_alone(sonar)
     check_kind(quality, RenderQuality, "quality")
-    if np.shape(margin) != (2,) or not all(isinstance(v, int | np.integer) and v >= 0 for v in margin):
+    if np.shape(margin) != (2,) or not all(is_whole(v) and v >= 0 for v in margin):
         raise SonarjaxError(f"margin: expected two whole numbers of 0 or more, got {shown(str(margin))}")
     for name, value in place.items():
         if not is_number(value) or not np.isfinite(value):

@@ -161,7 +161,8 @@ class Mesh:
         if not np.isfinite(positions).all():
             raise SonarjaxError("vertices: hold NaN or infinite values")
         real = faces[:, 0] != faces[:, 1]
-        mirrored = closed and _volume(positions, faces[real]) < 0
+        points = positions.astype(np.float64)
+        mirrored = closed and _volumes(points[faces[real]], points.mean(axis=0)).sum() < 0
         if mirrored:  # else the sonar would see the inside
             faces = np.where(real[:, None], faces[:, ::-1], faces)
         return replace(
@@ -337,19 +338,17 @@ def _turn_outward(surface: trimesh.Trimesh) -> None:
     """
     trimesh.repair.fix_winding(surface)
     body = trimesh.graph.connected_component_labels(surface.face_adjacency, node_count=len(surface.faces))
-    a, b, c = np.moveaxis(surface.triangles - surface.centroid, 1, 0)
-    inward = np.bincount(body, weights=(np.cross(a, b) * c).sum(axis=1))[body] < 0
+    inward = np.bincount(body, weights=_volumes(surface.triangles, surface.centroid))[body] < 0
     if inward.any():
         faces = np.array(surface.faces)
         faces[inward] = faces[inward][:, ::-1]
         surface.faces = faces
 
 
-def _volume(vertices: np.ndarray, faces: np.ndarray) -> float:
-    """Volume [m³] inside a closed surface; negative if its triangles face inwards."""
-    points = vertices.astype(np.float64)
-    a, b, c = np.moveaxis((points - points.mean(axis=0))[faces], 1, 0)
-    return float((np.cross(a, b) * c).sum()) / 6
+def _volumes(triangles: np.ndarray, middle: np.ndarray) -> np.ndarray:
+    """Volumes (triangle,) [m³] between triangles (triangle, 3, 3) [m] and a point; negative if one faces the point."""
+    a, b, c = np.moveaxis(triangles - middle, 1, 0)
+    return (np.cross(a, b) * c).sum(axis=1) / 6
 
 
 def _padded(surface: trimesh.Trimesh, closed: bool) -> Mesh:

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.io.given import check_kind, image_array, is_number, number_array, shown
+from sonarjax.io.given import check_kind, image_array, is_number, number_array, several, shown
 from sonarjax.recognition import Recognition
 from sonarjax.recognize import Recognizer
 from sonarjax.refine import in_view
@@ -297,7 +297,7 @@ def _checked(
     for k, image in enumerate(images):
         if image.shape != images[0].shape:
             raise SonarjaxError(f"frames[{k}]: expected shape {images[0].shape} as in frame 0, got {image.shape}")
-    masked = [None] * len(images) if masks is None else _several(masks, "masks")
+    masked = [None] * len(images) if masks is None else _one_for_each(masks, "masks")
     poses = _poses(sonar_poses, len(images))
     if len(masked) != len(images):
         raise SonarjaxError(f"masks: expected one for each of {len(images)} frames, got {len(masked)}")
@@ -317,16 +317,18 @@ def _poses(given: Any, count: int) -> list[Pose | None]:
         if given.shape != (count,):
             raise SonarjaxError(f"sonar_poses: expected one for each of {count} frames, got shape {given.shape}")
         return [jax.tree.map(lambda v, k=k: v[k], given) for k in range(count)]
-    poses = _several(given, "sonar_poses")
+    poses = _one_for_each(given, "sonar_poses")
     if len(poses) != count:
         raise SonarjaxError(f"sonar_poses: expected one for each of {count} frames, got {len(poses)}")
     return poses
 
 
-def _several(values: Any, name: str) -> list[Any]:
-    if not isinstance(values, Iterable):
+def _one_for_each(values: Any, name: str) -> list[Any]:
+    """The values as a list. Raises SonarjaxError for what holds none."""
+    found = several(values)
+    if found is None:
         raise SonarjaxError(f"{name}: expected one for each frame, got {shown(values)}")
-    return list(values)
+    return list(found)
 
 
 def _sonar_numbers(pose: Pose | None) -> np.ndarray:

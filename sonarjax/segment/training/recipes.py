@@ -17,7 +17,7 @@ from sonarjax.segment.step import GanConfig
 
 
 def _whole(value: Any, least: int = 1) -> bool:
-    return type(value) is int and value >= least
+    return type(value) is int and value >= least  # a recipe is written as JSON, which NumPy's numbers are not
 
 
 Rules = tuple[tuple[str, Callable[[Any], bool], str], ...]
