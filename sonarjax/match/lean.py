@@ -18,7 +18,7 @@ from jaxtyping import Float
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.given import check_whole, is_number, several, shown
 from sonarjax.match.ncc import PreparedBank, match_positions, prepare_bank
-from sonarjax.match.search import MIN_VALID, Match, TargetSearch, coarse_of, decimated, mid_fan, rounded_up
+from sonarjax.match.search import MIN_VALID, Match, TargetSearch, decimated, mid_fan, rounded_up
 from sonarjax.render import TemplateBank, WindowSize, template_bank
 from sonarjax.scene import Mesh, Pose
 
@@ -67,7 +67,6 @@ class _Bank(NamedTuple):
 
     bank: TemplateBank
     prepared: PreparedBank
-    added: tuple[int, int]  # rows and columns of background before the templates
 
 
 class LeanSearch:
@@ -115,8 +114,7 @@ class LeanSearch:
         kept = distinct_turns(turns, scores, self.config.apart, self.config.candidates)
         poses = []
         for k in kept:
-            row, column = int(rows[k]) + entry.added[0], int(columns[k]) + entry.added[1]
-            match = Match(entry.bank, scores, step * row - top, column - left)
+            match = Match(entry.bank, scores, step * int(rows[k]) - top, int(columns[k]) - left)
             x, y = search.place(match)
             yaw, z, roll, pitch = self.attitudes[k]
             # A bank's aspect is relative to the bearing at which it was rendered.
@@ -134,8 +132,8 @@ class LeanSearch:
                 size=self._window(), quality=search.config.quality, engine=search.engine,
             )  # fmt: skip
             frame = search.sonar.n_ranges // step, search.sonar.n_beams
-            templates, added = rounded_up(*coarse_of(bank, step), frame)
-            self._banks[index, masked] = _Bank(bank, prepare_bank(templates, frame, masked=masked), added)
+            templates = rounded_up(decimated(np.asarray(bank.templates), step), frame)
+            self._banks[index, masked] = _Bank(bank, prepare_bank(templates, frame, masked=masked))
         return self._banks[index, masked]
 
     def _window(self) -> WindowSize:

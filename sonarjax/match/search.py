@@ -36,8 +36,6 @@ MIN_VALID = 0.5
 """Least share of a template's pixels that were measured, where part of the frame is masked."""
 NOT_SEEN = "{}: at no distance inside the sonar's view is any part of it visible"
 """Error message; the target's name goes in."""
-SLACK = 8, 8
-"""Coarse rows and columns by which a rounded-up template can at least be shifted where it was rendered."""
 KEPT_COMPACT = 4
 """Number of banks that a target of a catalogue keeps: those of the distances used last."""
 MAX_DISTANCES = 1000
@@ -104,7 +102,6 @@ class _Entry(NamedTuple):
 
     bank: TemplateBank
     prepared: PreparedBank | CompactBank
-    added: tuple[int, int] = (0, 0)  # rows and columns of background before the templates, of a coarse bank
 
 
 class TargetSearch:
@@ -245,8 +242,8 @@ class TargetSearch:
             if not coarse:
                 return _Entry(bank, prepare_bank(bank, self.sonar.shape, masked=masked))
             frame = self.sonar.n_ranges // config.decimation, self.sonar.n_beams
-            templates, added = rounded_up(*coarse_of(bank, config.decimation), frame)
-            return _Entry(bank, prepare_bank(templates, frame, masked=masked), added)
+            templates = rounded_up(decimated(np.asarray(bank.templates), config.decimation), frame)
+            return _Entry(bank, prepare_bank(templates, frame, masked=masked))
         except OutOfViewError:
             return None
 
@@ -265,8 +262,7 @@ class TargetSearch:
         best = int(scores.argmax())
         top, left = (int(v) for v in np.asarray(entry.bank.offset))
         scale = self.config.decimation if coarse else 1
-        rows, columns = (int(found[best]) + before for found, before in zip((row, column), entry.added, strict=True))
-        return Match(entry.bank, scores, scale * rows - top, columns - left)
+        return Match(entry.bank, scores, scale * int(row[best]) - top, int(column[best]) - left)
 
     def _small_mask(self, mask: np.ndarray | None) -> np.ndarray | None:
         return None if mask is None else decimated(mask.astype(np.float32), self.config.decimation) == 1
@@ -297,26 +293,10 @@ def _bank_window(mesh: Mesh, sonar: Sonar, nearest: float) -> WindowSize:
     return WindowSize((sonar.n_ranges, columns), beams)
 
 
-def coarse_of(bank: TemplateBank, step: int) -> tuple[np.ndarray, tuple[int, int]]:
-    """Templates with means of `step` range bins, and their first row and column in a frame of such means."""
-    row, column = (int(v) for v in np.asarray(bank.offset))
-    return decimated(np.asarray(bank.templates), step), (row // step, column)
-
-
-def rounded_up(
-    templates: np.ndarray, first: tuple[int, int], frame: tuple[int, int]
-) -> tuple[np.ndarray, tuple[int, int]]:
-    """Coarse templates (yaw, h, w) with background added, so that there are few shapes to be compiled.
-
-    It is added behind and to port, but before and to starboard where there is no room for it behind the templates,
-    whose first pixel is `first` in the `frame`. Returns the templates, and rows and columns that were added before.
-    """
-    added = [(0, 0)]
-    for size, start, most, slack in zip(templates.shape[1:], first, frame, SLACK, strict=True):
-        wanted = min(-size % 32, most - size)
-        behind = min(wanted, max(most - size - start - slack, 0))
-        added.append((min(wanted - behind, max(start - slack, 0)), behind))
-    return np.pad(templates, added, constant_values=0.5), (added[1][0], added[2][0])
+def rounded_up(templates: np.ndarray, frame: tuple[int, int]) -> np.ndarray:
+    """Coarse templates (yaw, h, w) with background added behind and to port: few shapes, so few to be compiled."""
+    sizes = zip(templates.shape[1:], frame, strict=True)
+    return np.pad(templates, ((0, 0), *((0, min(-n % 32, most - n)) for n, most in sizes)), constant_values=0.5)
 
 
 def _ground_ranges(sonar: Sonar, step: float) -> np.ndarray:

@@ -15,7 +15,7 @@ from sonarjax.io.errors import OutOfViewError
 from sonarjax.match import first_look, search
 from sonarjax.match.first_look import FirstLook
 from sonarjax.match.lean import LeanSearch, LeanSearchConfig
-from sonarjax.match.search import SearchConfig, TargetSearch, rounded_up
+from sonarjax.match.search import SearchConfig, TargetSearch
 
 SONAR = sj.Sonar.preset("didson-hf", tilt=math.radians(20.0))
 
@@ -51,8 +51,8 @@ def test_only_a_target_that_is_out_of_view_is_passed_over(
 
 def test_a_fan_to_one_side_is_searched_in_its_middle() -> None:
     """The target is seen though the sonar has no beam straight ahead."""
-    azimuth = np.radians(np.linspace(8.0, 34.0, 24)).astype(np.float32)
-    sonar = sj.Sonar.preset("didson-hf", tilt=math.radians(20.0), azimuth=azimuth, n_ranges=128, range_max=3.5)
+    azimuth = np.radians(np.linspace(8.0, 34.0, 64)).astype(np.float32)
+    sonar = sj.Sonar.preset("didson-hf", tilt=math.radians(20.0), azimuth=azimuth)
     truth, mesh = sj.Pose(x=2.1, y=1.0, yaw=0.7), sj.objects.target()
     image = np.asarray(sj.render(mesh, truth, sonar).semantic())
     search = TargetSearch(mesh, sonar, SearchConfig(yaw_bins=12))
@@ -63,34 +63,6 @@ def test_a_fan_to_one_side_is_searched_in_its_middle() -> None:
     assert abs(math.remainder(yaw - 0.7, 2 * math.pi)) < math.radians(15.5)
     lean = LeanSearch(search, ("yaw", "x", "y"), LeanSearchConfig(yaw_bins=12)).find(image)
     assert abs(math.remainder(float(lean.poses.yaw[0]) - yaw, 2 * math.pi)) < math.radians(2.0)
-
-
-@pytest.mark.parametrize(
-    ("first", "added", "shape"),
-    [
-        ((40, 20), (0, 0), (64, 32)),  # room behind and to port
-        ((70, 20), (14, 0), (64, 32)),  # none behind: it is added before
-        ((64, 20), (8, 0), (64, 32)),  # some behind
-        ((40, 76), (0, 12), (64, 32)),
-        ((2, 2), (0, 0), (64, 32)),
-    ],
-)
-def test_rounded_up_templates_can_still_be_shifted(
-    first: tuple[int, int], added: tuple[int, int], shape: tuple[int, int]
-) -> None:
-    frame, drawn = (128, 96), np.random.default_rng(0).random((2, 50, 20)).astype(np.float32)
-    padded, before = rounded_up(drawn, first, frame)
-    assert before == added and padded.shape[1:] == shape
-    row, column = before
-    np.testing.assert_array_equal(padded[:, row : row + 50, column : column + 20], drawn)
-    assert (padded == 0.5).sum() == padded.size - drawn.size
-    for start, size, most, own in zip(np.subtract(first, before), shape, frame, drawn.shape[1:], strict=True):
-        assert start >= 0 and start + size <= most and size >= own
-
-
-def test_a_frame_without_room_gets_no_more_background() -> None:
-    padded, before = rounded_up(np.zeros((1, 16, 16), np.float32), (8, 3), (32, 24))
-    assert before == (0, 0) and padded.shape == (1, 16, 16)
 
 
 def test_a_bank_says_that_its_object_is_out_of_view() -> None:
