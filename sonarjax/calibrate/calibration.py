@@ -40,6 +40,8 @@ WIDENING = 1.47
 frames of one device share the error that this makes, so they do not disagree about it. Fitted to the errors on drawn
 devices of another seed than those of the docs (`python -m experiments.self_calibration --seeds 1`).
 """
+LEAST_INCIDENCE = 1.0
+"""Least incidence limit that is returned [deg]."""
 FIRST_FRAMES = 10
 """Most frames of the first fit, whose result only has to be good enough to search again."""
 
@@ -222,7 +224,7 @@ def _as_calibration(
 ) -> Calibration:
     """The result of a fit; `stated` is what was known of the nominal sonar, and still holds of what was not free."""
     count = len(job.free)
-    change, look = fit.point.shared[:count], Look(*fit.point.shared[count:])
+    change, look = _possible(job.sonar, job.free, fit.point.shared[:count]), Look(*fit.point.shared[count:])
     x, y, yaw = (np.array(np.asarray(v), np.float64) for v in (poses.x, poses.y, poses.yaw))
     for values, column in ((yaw, 0), (x, 1), (y, 2)):
         values[used] += fit.point.own[:, column]
@@ -249,5 +251,12 @@ def _as_calibration(
     )  # fmt: skip
 
 
-FIELDS = ("tilt", "roll", "height", "elevation_aperture", "range_min", "range_max")
+FIELDS = ("tilt", "roll", "height", "elevation_aperture", "range_min", "range_max", "highlight_max_incidence")
 """Fields of the sonar that a calibration may replace by a single number."""
+
+
+def _possible(sonar: Sonar, free: Sequence[str], change: np.ndarray) -> np.ndarray:
+    """`change` (free,) with an incidence limit that a sonar can have: 90° means the same as any larger one."""
+    nominal = float(sonar.highlight_max_incidence)
+    limits = [name == "highlight_max_incidence" for name in free]
+    return np.where(limits, np.clip(change, LEAST_INCIDENCE - nominal, 90.0 - nominal), change)

@@ -1,4 +1,4 @@
-"""The joint fit to frames at roughly known poses: coarse to fine, several tilts first, undetermined numbers kept."""
+"""The joint fit to frames at roughly known poses: several starts, coarse to fine, undetermined numbers kept."""
 
 from __future__ import annotations
 
@@ -37,10 +37,16 @@ COARSE, FINE = Stage(8.0, 6), Stage(2.0, 14)
 """Where the sonar may be far off, and where it is nearly right."""
 ROUGH_ITERATIONS = 4
 """Most iterations of a stage's first fit, which only finds how large the residuals of each row are."""
-TILTS = (0.0, -1.2, -0.6, 0.6, 1.2)
-"""Tilts that are tried first, as multiples of the prior's standard deviation."""
-TILT_FRAMES, TILT_ITERATIONS = 3, 6
-"""Most frames, and most iterations, with which a tilt is tried."""
+TRIED: dict[str, tuple[float, ...]] = {
+    "tilt": (0.0, -1.2, -0.6, 0.6, 1.2), "highlight_max_incidence": (0.0, -0.75, -1.5),
+}  # fmt: skip
+"""Starts that are tried first, one number after the other, as multiples of the prior's standard deviation.
+
+The edge of the lit floor may be far from where the nominal tilt puts it, too far for the fit to find it. An incidence
+limit only shows on facets that are seen at about this angle: from a limit of 90°, which darkens none, no fit can start.
+"""
+TRIED_FRAMES, TRIED_ITERATIONS = 3, 6
+"""Most frames, and most iterations, with which a start is tried."""
 SLACK_M = 0.12
 """Room around the object in its window [m]."""
 
@@ -136,7 +142,8 @@ def _fitted(
                 return job.engine.map(one, range(count))
 
             if stage is COARSE and not last:
-                point = _best_tilt(job, evaluate, point, prior)
+                for name in TRIED:
+                    point = _best_start(job, evaluate, point, prior, name)
             most = iterations if last else ROUGH_ITERATIONS
             fit = solve_jointly(evaluate, point, prior, iterations=most)
             job.progress(f"fitted with a blur of {blur:g} range bins: cost {fit.costs.sum():.0f}")
@@ -146,19 +153,18 @@ def _fitted(
     return fit
 
 
-def _best_tilt(job: Job, evaluate: Callable[[Point, int], list[Blocks]], point: Point, prior: Prior) -> Point:
-    """The point with the best of several tilts across its prior: the one whose fit explains a few frames best.
-
-    The edge of the lit floor may be far from where the nominal tilt puts it, too far for the fit to find it.
-    """
-    if "tilt" not in job.free or prior.fixed[job.free.index("tilt")]:
+def _best_start(
+    job: Job, evaluate: Callable[[Point, int], list[Blocks]], point: Point, prior: Prior, name: str
+) -> Point:
+    """The point with the best of the starts `TRIED` of this number: the one whose fit explains a few frames best."""
+    if name not in job.free or prior.fixed[job.free.index(name)]:
         return point
-    some, by_tilt = min(TILT_FRAMES, len(point.own)), np.eye(len(point.shared))[job.free.index("tilt")]
+    some, by_number = min(TRIED_FRAMES, len(point.own)), np.eye(len(point.shared))[job.free.index(name)]
     tried = []
-    for away in TILTS:
-        job.progress(f"trying a tilt {away:+g} standard deviations away")
-        begin = Point(point.shared + by_tilt * prior.std * away, point.own[:some])
-        tried.append(solve_jointly(lambda at: evaluate(at, some), begin, prior, iterations=TILT_ITERATIONS))
+    for away in TRIED[name]:
+        job.progress(f"trying {name} {away:+g} standard deviations away")
+        begin = Point(point.shared + by_number * prior.std * away, point.own[:some])
+        tried.append(solve_jointly(lambda at: evaluate(at, some), begin, prior, iterations=TRIED_ITERATIONS))
     best = min(tried, key=lambda fit: fit.costs.sum())
     return Point(best.point.shared, point.own)
 

@@ -25,7 +25,7 @@ class Parameter(NamedTuple):
     trust: float
     """Scale of the steps of a fit [unit]: how far the picture is nearly linear."""
     unit: str
-    """rad, m, or 1 for a ratio."""
+    """rad, deg, m, or 1 for a ratio."""
 
 
 PARAMETERS: dict[str, Parameter] = {
@@ -38,11 +38,13 @@ PARAMETERS: dict[str, Parameter] = {
     "azimuth_scale": Parameter(0.03, 0.01, "1"),
     "beam_bend": Parameter(0.05, 0.02, "1"),
     "beam_skew": Parameter(0.05, 0.02, "1"),
+    "highlight_max_incidence": Parameter(20.0, 4.0, "deg"),
 }
 """The sonar's numbers that may be free. `range_scale` stretches all ranges, as a wrong sound speed does, and
 `azimuth_scale` all beam angles. `beam_bend` b moves a beam at the share u of the half field of view by b·(u −
 u³) of it: the smooth unevenness of a lens. `beam_skew` b moves it by b·(u² − 1/3): that of a lens that is not
-centred.
+centred. `highlight_max_incidence` is the angle from a facet's normal [deg] about which its echo fades; 90 or more
+leaves all echoes.
 """
 
 SIZES: dict[str, Parameter] = {
@@ -106,7 +108,7 @@ def changed_sonar(sonar: Sonar, free: Sequence[str], change: Float[Array, "free"
     by = {name: change[k] for k, name in enumerate(free)}
     fields: dict[str, Any] = {
         name: jnp.asarray(getattr(sonar, name), jnp.float32) + by[name]
-        for name in ("tilt", "roll", "height", "elevation_aperture")
+        for name in ("tilt", "roll", "height", "elevation_aperture", "highlight_max_incidence")
         if name in by
     }
     stretch, shift = 1 + by.get("range_scale", 0.0), by.get("range_offset", 0.0)

@@ -15,7 +15,7 @@ from sonarjax.render import render
 from sonarjax.scene import Mesh
 from sonarjax.sonar import Sonar
 
-UNITS = {"rad": ("°", math.degrees(1.0)), "m": (" m", 1.0), "1": (" %", 100.0)}
+UNITS = {"rad": ("°", math.degrees(1.0)), "deg": ("°", 1.0), "m": (" m", 1.0), "1": (" %", 100.0)}
 """How a unit is shown, and the factor on its numbers."""
 SHOWN = 4
 """Most frames in a picture."""

@@ -25,7 +25,7 @@ def add(commands: Any) -> None:
     command.add_argument(
         "--free", metavar="NAMES", default="tilt,height", type=lambda text: tuple(text.split(",")),
         help="what to fit, separated by commas: tilt, roll, height, elevation_aperture, range_offset, range_scale, "
-        "azimuth_scale, beam_bend or beam_skew (default: %(default)s)",
+        "azimuth_scale, beam_bend, beam_skew or highlight_max_incidence (default: %(default)s)",
     )  # fmt: skip
     command.add_argument("--present", action="store_true", help="every frame shows the target, so use all of them")
     command.add_argument(

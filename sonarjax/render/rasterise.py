@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax.custom_derivatives import SymbolicZero
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
@@ -99,7 +101,7 @@ def spread(
 ) -> Float[Array, "range beam"]:
     """Sum (`rows`, beam) over items of `density` times the share of each pixel that they cover; at least 0.
 
-    `density` carries no gradient. An item without any does not count, whatever its ends are. The other arguments are
+    An item without any `density` does not count, whatever its ends are. The other arguments are
     as in `covered`.
     """
     return rasterised(middle, half, density[..., None], beams, rows, lambda sums: jnp.maximum(sums, 0.0))[0]
@@ -116,14 +118,14 @@ def rasterised(
     """Sums over items of `weights` times the share of each range bin that the item's span covers, then `finish`ed in
     each slab and averaged over the slabs of a beam.
 
-    `weights` carry no gradient. An item whose weights are all zero does not count, whatever its ends are.
+    An item whose weights are all zero does not count, whatever its ends are.
 
     On a CPU the range bins are taken `ROWS` at a time, and those that no span touches are skipped: an object's echo
     is a small part of its window. An accelerator would wait for each decision.
     """
     counts = (weights != 0).any(axis=-1)
     middle, half = (jnp.where(counts[:, None], ends, 0.0) for ends in (middle, half))
-    weights, size = stop_gradient(weights), ROWS if jax.default_backend() == "cpu" else rows
+    size = ROWS if jax.default_backend() == "cpu" else rows
     first = jnp.arange(0, rows, size)
 
     def some_rows(first: Array) -> Float[Array, "layer bin beam"]:
@@ -157,25 +159,35 @@ def _below(
     return jnp.stack([(weights[..., k, None] * length).sum(axis=1) for k in range(weights.shape[-1])], axis=1)
 
 
-@_below.defjvp
+@partial(_below.defjvp, symbolic_zeros=True)
 def _below_jvp(rows: int, primals: tuple, tangents: tuple) -> tuple[Array, Array]:
-    """Derivative written by hand, as products of matrices.
+    """Derivative written by hand, as products of matrices; nothing is computed for what does not move.
 
     What an end adds depends on the share of the slab's azimuths at which it has passed an edge. This is the same for
     derivatives in all directions, but XLA would compute what autodiff makes of it anew for each.
     """
     middle, half, weights = primals
-    moved, widened, _ = tangents
+    moved, widened, heavier = tangents
     sign = jnp.array([-1.0, 1.0])[:, None]  # of near ends and far ends
+    value = _below(middle, half, weights, rows)
+    change = jnp.zeros_like(value) if _stays(heavier) else _below(middle, half, heavier, rows)
+    if _stays(moved) and _stays(widened):
+        return value, change
+    moved, widened = (jnp.zeros_like(middle) if _stays(tangent) else tangent for tangent in (moved, widened))
 
     def by_end(tangent: Float[Array, "slab 2 item"]) -> Float[Array, "slab end sum"]:
         return ((sign * tangent)[..., None] * weights[:, None]).reshape(len(weights), -1, weights.shape[-1])
 
     edges = jnp.arange(rows + 1, dtype=jnp.float32)
     passed = share_passed(middle, half, edges).reshape(len(weights), -1, rows + 1)
-    change = _summed(passed, by_end(moved))
+    change += _summed(passed, by_end(moved))
     change -= _summed(passed - passed * passed, by_end(widened * jnp.sign(half)))
-    return _below(middle, half, weights, rows), change
+    return value, change
+
+
+def _stays(tangent: Any) -> bool:
+    """Whether an argument does not depend on what is derived by."""
+    return isinstance(tangent, SymbolicZero)
 
 
 def _summed(

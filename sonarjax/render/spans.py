@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from functools import reduce
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -42,6 +42,8 @@ MOST_ITEMS = 12  # most spans of a kind that a slice keeps, where spans are not 
 BLOCK = 32  # longest axis that XLA reduces in one plain loop
 LONGEST_PRODUCT = 128  # intervals up to which a product of matrices counts faster than `cumsum`
 SMOOTH_COSINE = math.cos(CREASE_ANGLE)  # a sharper bend is an edge of the body
+STEEPNESS = 8.0  # of the incidence limit: at 60° the echo falls from 88 % to 12 % between 51° and 68°
+FAINT = 0.02  # spans of facets that the incidence limit leaves less of their echo do not exist
 GAP = 1e-4  # relative step in range that ends an echo span: ten times float32's error, below any sonar's resolution
 
 
@@ -75,6 +77,8 @@ class Spans(NamedTuple):
     """Which occluded spans exist."""
     angle: Float[Array, "slab echo_span"]
     """Elevation [rad] that each echo span fills: its share of the energy sent out. Carries no gradient."""
+    kept: Float[Array, "slab echo_span"]
+    """Share of its echo that the incidence limit leaves. Its only gradient is that by the limit."""
 
     @property
     def on_object(self) -> Bool[Array, "end"]:
@@ -103,7 +107,7 @@ def find_spans(
     intervals: VisibleIntervals,
     segments: Segments,
     table: Int[Array, "slab candidate"],
-    lit: Bool[Array, "slab interval"],
+    kept: Float[Array, "slab interval"],
     items: tuple[int, int],
     sampled: bool,
     by_facet: Bool[Array, ""] | bool = False,
@@ -115,12 +119,12 @@ def find_spans(
         intervals: The visible intervals.
         segments: The candidates' segments.
         table: Triangle id of each candidate (slab, candidate).
-        lit: Which intervals (slab, interval) give highlight.
+        kept: Share of the echo of each interval (slab, interval) that the incidence limit leaves, see `kept_by_limit`.
         items: Number of echo spans and of occluded spans to keep, see `max_items`.
         sampled: Whether the intervals were sampled. Then intervals may be missing between neighbours, and a step in
             range that the slopes of the two explain is not a gap.
         by_facet: Whether an echo span also ends where the surface bends sharply. Each echo span is then about equally
-            bright all over.
+            bright all over, and those of facets a little beyond the incidence limit exist too.
         owner: Object that each interval (slab, interval) shows. If given, a span never joins two objects.
     """
     solid = intervals.winner >= 0
@@ -128,7 +132,7 @@ def find_spans(
     start, end = (interval_range(line, intervals.tau[..., k]) for k in (0, 1))
     slope = jnp.abs(end - start) if sampled else jnp.zeros_like(start)
     same_range = jnp.abs(_previous(end) - start) < GAP * start + jnp.maximum(slope, _previous(slope))
-    shown = solid & lit
+    shown = solid & (kept >= jnp.where(by_facet, FAINT, 0.5))
     goes_on = _previous(shown) & same_range
     if by_facet is not False:
         normal = _normal(line)
@@ -153,6 +157,8 @@ def find_spans(
         jnp.zeros_like(occluded_spans),
         jnp.zeros_like(jnp.concatenate([echo_spans, occluded_spans, occluded_spans], axis=1)),
     )
+    angle = jnp.where(echo_span, jnp.diff(jnp.arctan(intervals.tau), axis=-1), 0.0)
+    total, left = angle.sum(axis=1), (angle * kept[..., None]).sum(axis=1)
     return Spans(
         _ends(
             intervals,
@@ -165,7 +171,8 @@ def find_spans(
         ),
         echo_spans,
         occluded_spans,
-        jnp.where(echo_span, jnp.diff(jnp.arctan(intervals.tau), axis=-1), 0.0).sum(axis=1),
+        total,
+        jnp.where(total > 0, left / jnp.where(total > 0, total, 1.0), 1.0),
     )
 
 
@@ -401,6 +408,10 @@ def incidence_cosine(
     return jnp.abs(along) / jnp.sqrt(1 + tau * tau)
 
 
-def lit_intervals(cosine: Float[Array, "slab interval"], max_incidence_deg: float) -> Bool[Array, "slab interval"]:
-    """Which intervals give highlight: those hit at no more than `max_incidence_deg` [deg] from their normal."""
-    return cosine >= math.cos(math.radians(max_incidence_deg))
+def kept_by_limit(cosine: Float[Array, "*batch"], max_incidence_deg: Any) -> Float[Array, "*batch"]:
+    """Share of the echo [1] that an incidence limit [deg] leaves, given the `cosine` of incidence.
+
+    A logistic step in the cosine's ratio to that of the limit, where the share is one half. A limit of 90° leaves all.
+    """
+    limit = jnp.maximum(jnp.cos(jnp.radians(max_incidence_deg)), 1e-3)
+    return jax.nn.sigmoid(STEEPNESS * (cosine / limit - 1))

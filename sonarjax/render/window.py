@@ -31,7 +31,7 @@ from sonarjax.render.spans import (
     facet_width,
     find_spans,
     incidence_cosine,
-    lit_intervals,
+    kept_by_limit,
     max_items,
     trace_ranges,
 )
@@ -44,7 +44,7 @@ STEEPEST = 2.0  # up to this slope [m of range per m of arc], a facet narrower t
 
 
 class VisibleProfile(NamedTuple):
-    """The visible profile of every slab. Nothing in it carries a gradient."""
+    """The visible profile of every slab. Nothing in it carries a gradient, save that of `Spans.kept`."""
 
     intervals: VisibleIntervals
     """Which candidate is nearest at which elevations."""
@@ -82,12 +82,12 @@ def find_visible(
     mesh: Mesh, scene: Scene, slabs: Slabs, sonar: Sonar, elevations: int, by_facet: Bool[Array, ""] | bool = False,
     objects: Objects | None = None,
 ) -> VisibleProfile:  # fmt: skip
-    """Find the visible profile in the middle of each slab; nothing in it carries a gradient.
+    """Find the visible profile in the middle of each slab. Nothing in it carries a gradient, save that of `Spans.kept`.
 
     `by_facet` as in `find_spans`. If `objects` are given, no span joins two of them.
     """
     fixed = stop_gradient(scene)
-    azimuth = stop_gradient(slabs.middle)
+    azimuth, limit = stop_gradient(slabs.middle), jnp.asarray(sonar.highlight_max_incidence, jnp.float32)
     seen = front_faces(fixed.vertices, fixed.faces, mesh.closed)
     # `materialised` keeps XLA from fusing a stage into each of its uses, which would cost compile time and run time.
     table, overflow = candidates(fixed.vertices, fixed.faces, seen, azimuth, mesh.crossings, mesh.front)
@@ -99,15 +99,15 @@ def find_visible(
         return segments._replace(hit=segments.hit & (table >= 0))
 
     def spans_of(intervals: VisibleIntervals, segments: Segments, table: Array, azimuth: Array) -> Spans:
-        lit = jnp.ones(intervals.winner.shape, bool)
-        if sonar.highlight_max_incidence < 90.0:
-            cosine = incidence_cosine(intervals, corners_of(fixed, table), azimuth)
-            lit = lit_intervals(cosine, sonar.highlight_max_incidence)
+        def limited() -> Array:
+            return kept_by_limit(incidence_cosine(intervals, corners_of(fixed, table), azimuth), limit)
+
+        kept = jax.lax.cond(limit < 90, limited, lambda: jnp.ones(intervals.winner.shape))
         items = max_items(mesh.crossings, by_facet is not False, 0 if objects is None else objects.total)
         owner = None
         if objects is not None:
             owner = objects.owner[jnp.take_along_axis(table, jnp.maximum(intervals.winner, 0), axis=1)]
-        return find_spans(intervals, segments, table, lit, items, is_sampled(segments), by_facet, owner)
+        return find_spans(intervals, segments, table, kept, items, is_sampled(segments), by_facet, owner)
 
     segments = materialised(cut_slabs, azimuth, table)
     intervals = visible_intervals(segments, mesh.intersecting, elevations)
@@ -264,8 +264,9 @@ def render_echo(
 
     The echo is the elevation that first hits fill. Multiplied by eq. 2's spreading for each range, it is the object's
     energy as in `render_window`, at the cost of a highlight: a facet's elevation is spread evenly over the ranges that
-    it shows in a slab. The gradient covers where this elevation falls, not how much it is. The echo does not depend on
-    incidence (`sonar.lambert` is not used).
+    it shows in a slab. The gradient covers where this elevation falls, not how much it is. Of the incidence, the echo
+    only knows the limit `sonar.highlight_max_incidence`, about which it fades, with a gradient by the limit
+    (`sonar.lambert` is not used).
 
     Args:
         mesh: One mesh, not stacked.
@@ -283,10 +284,11 @@ def render_echo(
     seen = _look(mesh, None, pose, sonar, window, quality, jnp.asarray(by_facet))
     spans, shown, pixels = seen.visible.spans, seen.echo_spans, (seen.slabs.weights, window.shape[0])
     length = stop_gradient(shown[0][:, 1] - shown[0][:, 0])
-    density = jnp.where(spans.echo_spans, spans.angle / jnp.maximum(length, 1.0), 0.0)
+    density = jnp.where(spans.echo_spans, spans.angle * spans.kept / jnp.maximum(length, 1.0), 0.0)
+    highlighted = spans.echo_spans & (spans.kept >= 0.5)
 
     def all_three() -> EchoLayers:
-        highlight, echo = covered_and_spread(*shown, spans.echo_spans, *pixels, density)
+        highlight, echo = covered_and_spread(*shown, highlighted, *pixels, density)
         return EchoLayers(echo, highlight, covered(*seen.occluded_spans, spans.occluded_spans, *pixels))
 
     def echo_alone() -> EchoLayers:

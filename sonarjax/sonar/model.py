@@ -56,14 +56,14 @@ class Sonar:
     """One-way absorption [dB/m]; 0 as in eq. 2."""
     lambert: Scalar = 0.0
     """Exponent of cos(incidence) in the strength of an echo; 0 as in eq. 2, 1 or 2 for Lambert's law."""
+    highlight_max_incidence: Scalar = 90.0
+    """Largest angle of incidence, from a facet's normal, that still gives highlight [deg]; 90 for any."""
     floor: FloorPatch | None = None
     """A platform instead of an endless floor; None for the endless floor."""
     geometry_std: GeometryStd | None = None
     """How well the geometry is known, if that is stated. Rendering does not use it."""
     n_ranges: int = field(default=512, metadata={"static": True})
     """Number of range bins."""
-    highlight_max_incidence: float = field(default=90.0, metadata={"static": True})
-    """Largest angle of incidence, from a facet's normal, that still gives highlight [deg]; 90 for any. Static."""
 
     @classmethod
     def preset(cls, name: str, **overrides: Any) -> Sonar:

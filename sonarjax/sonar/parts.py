@@ -55,6 +55,8 @@ class GeometryStd:
     """Standard deviation of uneven beam spacing that is symmetric about the axis [1]."""
     beam_skew: Scalar = 0.0
     """Standard deviation of uneven beam spacing that differs from port to starboard [1]."""
+    highlight_max_incidence: Scalar = 0.0
+    """Standard deviation of the highlight's incidence limit [deg]."""
 
 
 def beam_edges(azimuth: Any, beam_width: Any) -> Float[Array, "*batch edge"]:

@@ -49,6 +49,7 @@ _STD_FIELDS = {
     "azimuth_scale": "azimuth_scale",
     "beam_bend": "beam_bend",
     "beam_skew": "beam_skew",
+    "highlight_max_incidence_deg": "highlight_max_incidence",
 }
 _KEPT_IN_DEGREES = {"highlight_max_incidence_deg"}
 _REQUIRED = ("range_min_m", "range_max_m", "n_ranges", "elevation_aperture_deg", "tilt_deg", "height_m")

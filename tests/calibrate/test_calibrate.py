@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 
 import sonarjax as sj
-from sonarjax.calibrate.calibration import WIDENING
+from sonarjax.calibrate.calibration import WIDENING, _possible
 from sonarjax.calibrate.linearise import OWN, Observation, linearise
 from sonarjax.calibrate.look import LOOK
 from sonarjax.calibrate.parameters import changed_sonar
@@ -117,6 +118,36 @@ def test_an_uneven_beam_table_comes_back() -> None:
 
 @pytest.mark.slow
 @pytest.mark.computes
+def test_an_incidence_limit_comes_back() -> None:
+    """Facets beyond it have no echo. Which those are is computed here, from the mesh alone."""
+    limit, mesh = 62.0, sj.objects.target()
+    poses = [sj.Pose(2.2 + 0.02 * k, 0.05 * (k - 3.5), 0.8 * k) for k in range(8)]
+    model = jax.tree.map(jnp.float32, SensorModel.nominal())
+    images = []
+    for k, pose in enumerate(poses):
+        corners = np.asarray(pose.to_ground(mesh.vertices))[np.asarray(mesh.faces)]
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        ray = corners.mean(axis=1) - [0.0, 0.0, NOMINAL.height]
+        size = np.linalg.norm(normal, axis=1) * np.linalg.norm(ray, axis=1)
+        seen = np.abs((normal * ray).sum(axis=1)) >= math.cos(math.radians(limit)) * size
+        dark = replace(mesh, reflectivity=jnp.asarray(seen, jnp.float32))
+        images.append(np.asarray(observe_scene(dark, pose, NOMINAL, model, key=jax.random.key(k))[0]))
+    at = jax.tree.map(lambda *v: jnp.stack([jnp.asarray(x, jnp.float32) for x in v]), *poses)
+    found = sj.calibrate(images, mesh, NOMINAL, free=("tilt", "highlight_max_incidence"), poses=at)
+    assert found.determined == {"tilt": True, "highlight_max_incidence": True}
+    assert float(found.sonar.highlight_max_incidence) == pytest.approx(limit, abs=6.0)
+    assert found.sonar.geometry_std.highlight_max_incidence == found.std["highlight_max_incidence"] < 8.0
+
+
+def test_no_incidence_limit_is_above_90_degrees() -> None:
+    free = ("tilt", "highlight_max_incidence")
+    sonar = NOMINAL.replace(highlight_max_incidence=70.0)
+    np.testing.assert_array_equal(_possible(sonar, free, np.array([30.0, 30.0])), [30.0, 20.0])
+    np.testing.assert_array_equal(_possible(sonar, free, np.array([-80.0, -80.0])), [-80.0, -69.0])
+
+
+@pytest.mark.slow
+@pytest.mark.computes
 @pytest.mark.parametrize(
     ("free", "off", "free_steps"),
     [
@@ -127,6 +158,7 @@ def test_an_uneven_beam_table_comes_back() -> None:
             (0.02, 0.01, 0.01, 0.004),
             (4e-3, 2e-3, 1e-3, 5e-4),
         ),
+        (("highlight_max_incidence",), (-25.0,), (0.5,)),
     ],
 )
 def test_derivatives_are_finite_differences(frames, free, off, free_steps) -> None:

@@ -26,7 +26,7 @@ def test_each_number_changes_what_it_says() -> None:
     def changed(name: str, value: float) -> sj.Sonar:
         return changed_sonar(SONAR, (name,), jnp.array([value]))
 
-    for name in ("tilt", "roll", "height", "elevation_aperture"):
+    for name in ("tilt", "roll", "height", "elevation_aperture", "highlight_max_incidence"):
         assert float(getattr(changed(name, 0.01), name)) == pytest.approx(float(getattr(SONAR, name)) + 0.01)
     assert float(changed("range_offset", 0.02).range_max) == pytest.approx(4.02)
     stretched = changed("range_scale", 0.01)

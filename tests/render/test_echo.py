@@ -42,6 +42,47 @@ def test_shadow_is_that_of_render() -> None:
     np.testing.assert_allclose(echo_of(mesh, pose, SONAR).shadow, expected, atol=0.01)
 
 
+def test_echo_fades_about_the_incidence_limit() -> None:
+    """The limit is where the top of a box is hit: half of its echo is left, and all of the front's. Closed form."""
+    front, back, top, height = 2.2, 2.3, 0.1, 0.9
+    mesh = sj.objects.brick(back - front, 0.6, top)
+    pose = sj.Pose(x=(front + back) / 2)
+    limit = math.degrees(math.atan2(pose.x, height - top))
+    whole, left = (
+        echo_of(mesh, pose, SONAR.replace(highlight_max_incidence=jnp.float32(degrees))) for degrees in (90.0, limit)
+    )
+    down = [math.atan2(height - z, x) for x, z in ((front, 0.0), (front, top), (back, top))]
+    of_front, of_top = down[0] - down[1], down[1] - down[2]
+    assert np.asarray(whole.echo)[:, 48].sum() == pytest.approx(of_front + of_top, rel=1e-3)
+    assert np.asarray(left.echo)[:, 48].sum() == pytest.approx(of_front + of_top / 2, rel=1e-2)
+    # What is labelled highlight ends at the limit itself.
+    above, below = (
+        echo_of(mesh, pose, SONAR.replace(highlight_max_incidence=jnp.float32(limit + by))) for by in (3, -3)
+    )
+    np.testing.assert_allclose(above.highlight, whole.highlight, atol=1e-5)
+    bins = [float(np.asarray(frame.highlight)[:, 48].sum()) for frame in (whole, below)]
+    assert bins[1] < 0.7 * bins[0]
+
+
+def test_derivative_of_the_echo_by_the_incidence_limit() -> None:
+    """Central differences, alone and beside the derivative by yaw."""
+
+    def echo(limit: jax.Array, yaw: jax.Array) -> jax.Array:
+        sonar = SONAR.replace(highlight_max_incidence=limit)
+        return echo_of(sj.objects.target(), sj.Pose(2.3, 0.05, yaw), sonar).echo
+
+    at, step, nothing = (jnp.float32(65.0), jnp.float32(0.6)), jnp.float32(0.3), jnp.float32(0.0)
+    expected = (np.asarray(echo(at[0] + step, at[1])) - np.asarray(echo(at[0] - step, at[1]))) / (2 * float(step))
+    scale = np.abs(expected).max()
+    _, slope = jax.jvp(echo, at, (jnp.float32(1.0), nothing))
+    np.testing.assert_allclose(slope, expected, atol=0.01 * scale)
+    _, by_yaw = jax.jvp(echo, at, (nothing, jnp.float32(1.0)))
+    _, by_both = jax.jvp(echo, at, (jnp.float32(1.0), jnp.float32(1.0)))
+    np.testing.assert_allclose(by_both - by_yaw, slope, atol=1e-3 * np.abs(by_yaw).max())
+    back = jax.grad(lambda limit: (echo(limit, at[1]) ** 2).sum())(at[0])
+    assert float(back) == pytest.approx(float((2 * echo(*at) * slope).sum()), rel=1e-3)
+
+
 def test_angle_of_a_bin_of_floor() -> None:
     """The difference of the elevations asin(height / range) at its two edges."""
     middles = np.array([1.6, 2.3, 3.9])

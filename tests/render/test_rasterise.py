@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -127,21 +129,32 @@ def test_derivatives_are_those_that_autodiff_finds(rng, sums):
     middle = jnp.asarray(np.stack([near, near + rng.uniform(0.5, 6, near.shape)], axis=1), jnp.float32)
     half = jnp.asarray(rng.uniform(-3, 3, middle.shape), jnp.float32)
     weights = jnp.asarray(rng.uniform(size=(SLABS, ITEMS, sums)), jnp.float32)
-    along = tuple(jnp.asarray(rng.normal(size=middle.shape), jnp.float32) for _ in range(2))
+    at = middle, half, weights
+    along = tuple(jnp.asarray(rng.normal(size=value.shape), jnp.float32) for value in at)
 
-    def plain(middle, half):
+    def plain(middle, half, weights):
         edges = jnp.arange(ROWS + 1, dtype=jnp.float32)
         length = ramp(middle[:, 0], half[:, 0], edges) - ramp(middle[:, 1], half[:, 1], edges)
         summed = jnp.einsum("sne,snk->ske", length, weights, precision=jax.lax.Precision.HIGHEST)
         return jnp.moveaxis(jnp.diff(summed, axis=-1), 0, 2)
 
-    def rendered(middle, half):
+    def rendered(middle, half, weights):
         return rasterised(middle, half, weights, EACH, ROWS, lambda sums: sums)
 
-    (value, slope), (expected, expected_slope) = (
-        jax.jvp(function, (middle, half), along) for function in (rendered, plain)
-    )
-    np.testing.assert_allclose(value, expected, atol=1e-5)
-    np.testing.assert_allclose(slope, expected_slope, atol=1e-4)
-    back = jax.grad(lambda m: (rendered(m, half) ** 2).sum())(middle)
-    np.testing.assert_allclose(back, jax.grad(lambda m: (plain(m, half) ** 2).sum())(middle), atol=1e-3)
+    for moving in ((0, 1, 2), (0, 1), (1,), (2,)):
+
+        def of_moving(function, *moved, moving=moving):
+            return function(*(moved[moving.index(k)] if k in moving else at[k] for k in range(3)))
+
+        start, direction = [at[k] for k in moving], [along[k] for k in moving]
+        (value, slope), (expected, expected_slope) = (
+            jax.jvp(partial(of_moving, function), start, direction) for function in (rendered, plain)
+        )
+        np.testing.assert_allclose(value, expected, atol=1e-5)
+        np.testing.assert_allclose(slope, expected_slope, atol=2e-4)
+    for number in (0, 2):
+        back, expected = (
+            jax.grad(lambda *of, function=function: (function(*of) ** 2).sum(), number)(*at)
+            for function in (rendered, plain)
+        )
+        np.testing.assert_allclose(back, expected, atol=1e-3)

@@ -40,7 +40,7 @@ def test_stacked_sonars_have_edges_each():
 def test_every_float_is_a_leaf_and_counts_are_static():
     sonar = Sonar.preset("didson-hf", floor=FloorPatch(2.0, 0.0, 1.0, 1.0))
     leaves = jax.tree.leaves(sonar)
-    assert len(leaves) == 14 + 5
+    assert len(leaves) == 15 + 5
     assert 512 not in [leaf for leaf in leaves if isinstance(leaf, int)]
     rebuilt = jax.tree.map(lambda leaf: leaf, sonar)
     assert rebuilt.n_ranges == 512
