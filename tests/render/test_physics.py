@@ -137,7 +137,7 @@ def test_floor_patch():
     assert inside.sum() > 1000
     np.testing.assert_array_equal(lit[certain], inside[certain])
     # A bin that ends at the platform's edge may catch what rounding leaves of it.
-    assert np.asarray(bare.intensity)[_eroded(~lit, 1, 0)].max() < 1e-5 * np.asarray(bare.intensity).max()
+    assert np.asarray(bare.intensity)[_eroded(~lit, 1, 0)].max() < 1e-4 * np.asarray(bare.intensity).max()
     # Range bins that the edge cuts have their share of the energy.
     np.testing.assert_allclose(np.asarray(bare.intensity).sum(0), energy, rtol=2e-3, atol=1e-5)
     # The object is as bright as on an endless floor, and its shadow ends with the platform.
