@@ -16,7 +16,7 @@ from sonarjax.calibrate.detect import Prepared, best_height, detect
 from sonarjax.calibrate.fit import FINE, Job, fit_frames, with_nominal_look
 from sonarjax.calibrate.inputs import check_frames, check_kinds, starts_of
 from sonarjax.calibrate.look import Look, sensor_of
-from sonarjax.calibrate.parameters import changed_sonar, check_free, prior_std
+from sonarjax.calibrate.parameters import INCIDENCE, INCIDENCE_DEG, changed_sonar, check_free, prior_std
 from sonarjax.calibrate.solver import Fit
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
@@ -40,8 +40,6 @@ WIDENING = 1.47
 frames of one device share the error that this makes, so they do not disagree about it. Fitted to the errors on drawn
 devices of another seed than those of the docs (`python -m experiments.self_calibration --seeds 1`).
 """
-LEAST_INCIDENCE = 1.0
-"""Least incidence limit that is returned [deg]."""
 FIRST_FRAMES = 10
 """Most frames of the first fit, whose result only has to be good enough to search again."""
 
@@ -63,7 +61,9 @@ class Calibration:
     free: tuple[str, ...]
     """Names of the free numbers."""
     change: np.ndarray
-    """Their change from the nominal sonar (free,) [rad, m or 1, see `PARAMETERS`]; 0 if undetermined."""
+    """Their change from the nominal sonar (free,) [in the units of `PARAMETERS`]; 0 if undetermined, but
+    for an incidence limit that the frames do not show: it is then 90°.
+    """
     covariance: np.ndarray
     """Covariance of that change (free, free), given frames and prior."""
     determined: dict[str, bool]
@@ -92,7 +92,7 @@ class Calibration:
 
     @property
     def std(self) -> dict[str, float]:
-        """Standard deviation of each free number [rad, m or 1]."""
+        """Standard deviation of each free number [in the units of `PARAMETERS`]."""
         return dict(zip(self.free, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
 
@@ -126,8 +126,8 @@ def calibrate(
         free: Names of the numbers to fit, from `PARAMETERS`.
         poses: Known poses (frame,) [m, rad] from which to start. None means that the target is searched for in each
             frame, and that frames in which it is not found are left out.
-        prior: Standard deviations [rad, m or 1] of how well numbers of the nominal sonar are known, by name. Numbers
-            that are not given have those of the sonar's `geometry_std`, else those of `PARAMETERS`.
+        prior: Standard deviations [rad, deg, m or 1] of how well numbers of the nominal sonar are known, by name.
+            Numbers that are not given have those of the sonar's `geometry_std`, else those of `PARAMETERS`.
         masks: True where pixels were measured (frame, range, beam); None, also for a single frame, means everywhere.
         present: The target is known to be in every frame, so all are fitted.
         segmenter: The segmenter, or its name.
@@ -256,7 +256,7 @@ FIELDS = ("tilt", "roll", "height", "elevation_aperture", "range_min", "range_ma
 
 
 def _possible(sonar: Sonar, free: Sequence[str], change: np.ndarray) -> np.ndarray:
-    """`change` (free,) with an incidence limit that a sonar can have: 90° means the same as any larger one."""
-    nominal = float(sonar.highlight_max_incidence)
-    limits = [name == "highlight_max_incidence" for name in free]
-    return np.where(limits, np.clip(change, LEAST_INCIDENCE - nominal, 90.0 - nominal), change)
+    """`change` (free,) with an incidence limit within `INCIDENCE_DEG`, as `changed_sonar` has it."""
+    least, largest = (limit - float(sonar.highlight_max_incidence) for limit in INCIDENCE_DEG)
+    limits = [name == INCIDENCE for name in free]
+    return np.where(limits, np.clip(change, least, largest), change)

@@ -13,7 +13,7 @@ from sonarjax.calibrate.covariance import Certainty, certainty, overcounted
 from sonarjax.calibrate.detect import Prepared
 from sonarjax.calibrate.linearise import OWN, Blocks, Observation, linearise
 from sonarjax.calibrate.look import LOOK
-from sonarjax.calibrate.parameters import changed_sonar
+from sonarjax.calibrate.parameters import INCIDENCE, INCIDENCE_DEG, PARAMETERS, changed_sonar
 from sonarjax.calibrate.picture import make_sampling, measured_mean
 from sonarjax.calibrate.solver import BOUNCE, Fit, Point, Prior, make_prior, solve_jointly
 from sonarjax.engine import Engine
@@ -37,13 +37,13 @@ COARSE, FINE = Stage(8.0, 6), Stage(2.0, 14)
 """Where the sonar may be far off, and where it is nearly right."""
 ROUGH_ITERATIONS = 4
 """Most iterations of a stage's first fit, which only finds how large the residuals of each row are."""
-TRIED: dict[str, tuple[float, ...]] = {
-    "tilt": (0.0, -1.2, -0.6, 0.6, 1.2), "highlight_max_incidence": (0.0, -0.75, -1.5),
-}  # fmt: skip
-"""Starts that are tried first, one number after the other, as multiples of the prior's standard deviation.
-
-The edge of the lit floor may be far from where the nominal tilt puts it, too far for the fit to find it. An incidence
-limit only shows on facets that are seen at about this angle: from a limit of 90°, which darkens none, no fit can start.
+TILTS = (0.0, -1.2, -0.6, 0.6, 1.2)
+"""Tilts that are tried first, as multiples of the prior's standard deviation. The edge of the lit floor may be far from
+where the nominal tilt puts it, too far for the fit to find it.
+"""
+LIMITS = (90.0, 75.0, 60.0, 45.0)
+"""Incidence limits that are tried first, beside the nominal one [deg]. A limit only shows on facets that are seen at
+about this angle: from 90°, which darkens none, no fit can start.
 """
 TRIED_FRAMES, TRIED_ITERATIONS = 3, 6
 """Most frames, and most iterations, with which a start is tried."""
@@ -84,7 +84,7 @@ def fit_frames(
     """Fit `frames` jointly in `stages`, from their poses and `begin` (free + look,); say how well all is known.
 
     `begin` holds the changes of the free numbers, then the look. A number that the frames do not determine is put back
-    to its nominal value.
+    to its nominal value, see `_put_back`.
     """
     change = begin[: len(job.free)]
     size = _window(job, starts, change)
@@ -94,8 +94,9 @@ def fit_frames(
     known = certainty(fit.information, fit.scores, job.std, job.free, job.widening)
     loose = tuple(name for name, told in known.determined.items() if not told)
     if loose:
-        kept = np.array([name not in loose for name in job.free] + [True] * len(LOOK))
-        again = fit.point._replace(shared=fit.point.shared * kept)
+        count = len(job.free)
+        back = _put_back(job, fit.point.shared[:count], loose)
+        again = fit.point._replace(shared=np.concatenate([back, fit.point.shared[count:]]))
         fit = _fitted(job, observations, size, again, loose, stages[-1:])
     return fit, known
 
@@ -142,7 +143,7 @@ def _fitted(
                 return job.engine.map(one, range(count))
 
             if stage is COARSE and not last:
-                for name in TRIED:
+                for name in ("tilt", INCIDENCE):
                     point = _best_start(job, evaluate, point, prior, name)
             most = iterations if last else ROUGH_ITERATIONS
             fit = solve_jointly(evaluate, point, prior, iterations=most)
@@ -156,17 +157,34 @@ def _fitted(
 def _best_start(
     job: Job, evaluate: Callable[[Point, int], list[Blocks]], point: Point, prior: Prior, name: str
 ) -> Point:
-    """The point with the best of the starts `TRIED` of this number: the one whose fit explains a few frames best."""
+    """The point with the best of several starts of this number: the one whose fit explains a few frames best."""
     if name not in job.free or prior.fixed[job.free.index(name)]:
         return point
     some, by_number = min(TRIED_FRAMES, len(point.own)), np.eye(len(point.shared))[job.free.index(name)]
     tried = []
-    for away in TRIED[name]:
-        job.progress(f"trying {name} {away:+g} standard deviations away")
-        begin = Point(point.shared + by_number * prior.std * away, point.own[:some])
+    for change in _starts(job, name):
+        job.progress(f"trying {name} changed by {change:+.3g} {PARAMETERS[name].unit}")
+        begin = Point(point.shared + by_number * change, point.own[:some])
         tried.append(solve_jointly(lambda at: evaluate(at, some), begin, prior, iterations=TRIED_ITERATIONS))
     best = min(tried, key=lambda fit: fit.costs.sum())
     return Point(best.point.shared, point.own)
+
+
+def _starts(job: Job, name: str) -> list[float]:
+    """Changes of a number from which to start."""
+    if name == INCIDENCE:
+        nominal = float(job.sonar.highlight_max_incidence)
+        return [0.0, *(limit - nominal for limit in LIMITS if limit != nominal)]
+    return [float(job.std[job.free.index(name)]) * away for away in TILTS]
+
+
+def _put_back(job: Job, change: np.ndarray, loose: Sequence[str]) -> np.ndarray:
+    """`change` (free,) with `loose` numbers at their nominal values; only an incidence limit beyond 90° stays there."""
+    back = np.where([name in loose for name in job.free], 0.0, change)
+    if INCIDENCE in loose:
+        at, none = job.free.index(INCIDENCE), INCIDENCE_DEG[1] - float(job.sonar.highlight_max_incidence)
+        back[at] = none if change[at] >= none else 0.0
+    return back
 
 
 def _row_spread(observations: Sequence[Observation], sampling: Any) -> np.ndarray:

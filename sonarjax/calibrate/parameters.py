@@ -43,9 +43,12 @@ PARAMETERS: dict[str, Parameter] = {
 """The sonar's numbers that may be free. `range_scale` stretches all ranges, as a wrong sound speed does, and
 `azimuth_scale` all beam angles. `beam_bend` b moves a beam at the share u of the half field of view by b·(u −
 u³) of it: the smooth unevenness of a lens. `beam_skew` b moves it by b·(u² − 1/3): that of a lens that is not
-centred. `highlight_max_incidence` is the angle from a facet's normal [deg] about which its echo fades; 90 or more
-leaves all echoes.
+centred. `highlight_max_incidence` is the angle from a facet's normal [deg] about which its echo fades, kept within
+`INCIDENCE_DEG`.
 """
+INCIDENCE = "highlight_max_incidence"
+INCIDENCE_DEG = 1.0, 90.0
+"""Least and largest incidence limit [deg]; the largest leaves all echoes."""
 
 SIZES: dict[str, Parameter] = {
     name: Parameter(0.25, 0.08, "1") for name in ("object_length", "object_width", "object_height")
@@ -108,9 +111,11 @@ def changed_sonar(sonar: Sonar, free: Sequence[str], change: Float[Array, "free"
     by = {name: change[k] for k, name in enumerate(free)}
     fields: dict[str, Any] = {
         name: jnp.asarray(getattr(sonar, name), jnp.float32) + by[name]
-        for name in ("tilt", "roll", "height", "elevation_aperture", "highlight_max_incidence")
+        for name in ("tilt", "roll", "height", "elevation_aperture", INCIDENCE)
         if name in by
     }
+    if INCIDENCE in by:
+        fields[INCIDENCE] = jnp.clip(fields[INCIDENCE], *INCIDENCE_DEG)
     stretch, shift = 1 + by.get("range_scale", 0.0), by.get("range_offset", 0.0)
     if "range_scale" in by or "range_offset" in by:
         fields |= {name: getattr(sonar, name) * stretch + shift for name in ("range_min", "range_max")}

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 from sonarjax.calibrate.calibration import Calibration
-from sonarjax.calibrate.parameters import PARAMETERS
+from sonarjax.calibrate.parameters import INCIDENCE, PARAMETERS
 from sonarjax.render import render
 from sonarjax.scene import Mesh
 from sonarjax.sonar import Sonar
@@ -56,7 +56,8 @@ def _line(found: Calibration, nominal: Sonar, k: int) -> str:
     unit, scale = UNITS[PARAMETERS[name].unit]
     change, std = scale * found.change[k], scale * math.sqrt(found.covariance[k, k])
     if not found.determined[name]:
-        return f"{name}: not determined by these frames, left at its nominal value"
+        where = "which show no limit" if name == INCIDENCE and change > 0 else "left at its nominal value"
+        return f"{name}: not determined by these frames, {where}"
     value = getattr(nominal, name, None)
     total = "" if value is None else f"{scale * float(value) + change:.4g}{unit}, "
     bound = scale * found.bound[name]

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sonarjax.calibrate.parameters import PARAMETERS, changed_sonar
+from sonarjax.calibrate.parameters import INCIDENCE, INCIDENCE_DEG, PARAMETERS, changed_sonar
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.refine import RefineConfig, refine_yaw
 from sonarjax.render import WindowSize
@@ -24,7 +24,8 @@ def stated_std(sonar: Sonar) -> dict[str, float]:
         sonar: The sonar; its `geometry_std` is read.
 
     Returns:
-        Standard deviations [rad, m, 1] by name, without those that are 0; empty if the sonar states none.
+        Standard deviations [in the units of `PARAMETERS`] by name, without those that are 0; empty if the sonar states
+        none.
     """
     if sonar.geometry_std is None:
         return {}
@@ -38,7 +39,8 @@ def yaw_std_of_geometry(
     """Return the standard deviation of yaw that an uncertain geometry of the sonar causes.
 
     The yaw is refined again from `pose`, with each stated number one standard deviation up and down. Half the
-    difference is the share of that number, and the shares are added in quadrature. This assumes that the errors of the
+    difference is the share of that number, and the shares are added in quadrature. An incidence limit counts only if
+    the sonar has one. This assumes that the errors of the
     geometry are independent, so small that yaw follows them linearly, and the same in all frames. The derivative of
     `refine_yaw` would be faster. Refining again is safer, because an objective that is rough within a tenth of a degree
     does not disturb it.
@@ -48,7 +50,7 @@ def yaw_std_of_geometry(
         mesh: The target.
         sonar: The sonar.
         pose: The refined pose [m, rad].
-        stated: Standard deviations [rad, m, 1] by name, from `stated_std`.
+        stated: Standard deviations [in the units of `PARAMETERS`] by name, from `stated_std`.
         config: How to refine; it must refine on the frame.
         mask: True where the frame was measured (range, beam); None for everywhere.
         window: Size of the window; None plans it.
@@ -63,10 +65,14 @@ def yaw_std_of_geometry(
         moved = _alike(changed_sonar(sonar, (name,), jnp.array([by])), sonar)
         return float(refine_yaw(image, mesh, moved, pose, mask=mask, config=config, window=window, engine=engine).yaw)
 
-    names = [name for name in PARAMETERS if name in stated]
+    names = [name for name in PARAMETERS if name in stated and not (name == INCIDENCE and _has_no_limit(sonar))]
     yaws = engine.map(solved, [(name, side * stated[name]) for name in names for side in (-1, 1)])
     shares = [math.remainder(up - down, 2 * math.pi) / 2 for down, up in zip(yaws[::2], yaws[1::2], strict=True)]
     return math.hypot(*shares)
+
+
+def _has_no_limit(sonar: Sonar) -> bool:
+    return float(sonar.highlight_max_incidence) >= INCIDENCE_DEG[1]
 
 
 def _alike(moved: Sonar, sonar: Sonar) -> Sonar:

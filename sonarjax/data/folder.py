@@ -30,6 +30,8 @@ from sonarjax.io.png import parse_png
 MANIFEST = "manifest.jsonl"
 STORED = np.array([128, 255, 0], np.uint8)
 """Grey value in a file for background, highlight and shadow."""
+ROUNDING = 1e-5
+"""By how much a resampled image may leave [0, 1]."""
 
 
 def export_pairs(
@@ -81,8 +83,10 @@ def _arrays(pairs: Pairs) -> tuple[np.ndarray, np.ndarray]:
     if images.ndim != 3 or images.shape != labels.shape:
         got = f"{images.shape} and {labels.shape}"
         raise SonarjaxError(f"pairs: expected images and labels (pair, range, beam) of the same shape, got {got}")
-    if images.dtype != np.uint8 and not ((images >= 0) & (images <= 1)).all():
-        raise SonarjaxError("pairs: image: expected values in [0, 1]")
+    if images.dtype != np.uint8:
+        if not ((images >= -ROUNDING) & (images <= 1 + ROUNDING)).all():
+            raise SonarjaxError("pairs: image: expected values in [0, 1]")
+        images = images.clip(0.0, 1.0)
     whole = labels.dtype.kind in "iu"
     if not (whole and ((labels >= 0) & (labels < len(STORED))).all()):
         got = f"{labels.min()} to {labels.max()}" if whole else str(labels.dtype)

@@ -14,7 +14,7 @@ def materialised(stage: Callable[..., Any], *slabs: Any) -> Any:
 
     XLA fuses a cheap stage into each of its uses, and into gathers, where it is computed many times over: on a CPU a
     render takes twice as long. The result of a loop is written to memory once, hence the two halves. Use it only for
-    values that carry no gradient.
+    values that carry no gradient, or only by a number that is seldom free.
     """
     count = len(jax.tree.leaves(slabs)[0])
     half = -(-count // 2)

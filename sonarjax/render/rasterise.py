@@ -101,8 +101,7 @@ def spread(
 ) -> Float[Array, "range beam"]:
     """Sum (`rows`, beam) over items of `density` times the share of each pixel that they cover; at least 0.
 
-    An item without any `density` does not count, whatever its ends are. The other arguments are
-    as in `covered`.
+    An item without any `density` does not count, whatever its ends are. The other arguments are as in `covered`.
     """
     return rasterised(middle, half, density[..., None], beams, rows, lambda sums: jnp.maximum(sums, 0.0))[0]
 
@@ -118,7 +117,7 @@ def rasterised(
     """Sums over items of `weights` times the share of each range bin that the item's span covers, then `finish`ed in
     each slab and averaged over the slabs of a beam.
 
-    An item whose weights are all zero does not count, whatever its ends are.
+    An item whose weights are all zero does not count, whatever its ends are; its derivative by them is zero.
 
     On a CPU the range bins are taken `ROWS` at a time, and those that no span touches are skipped: an object's echo
     is a small part of its window. An accelerator would wait for each decision.

@@ -43,7 +43,8 @@ BLOCK = 32  # longest axis that XLA reduces in one plain loop
 LONGEST_PRODUCT = 128  # intervals up to which a product of matrices counts faster than `cumsum`
 SMOOTH_COSINE = math.cos(CREASE_ANGLE)  # a sharper bend is an edge of the body
 STEEPNESS = 8.0  # of the incidence limit: at 60° the echo falls from 88 % to 12 % between 51° and 68°
-FAINT = 0.02  # spans of facets that the incidence limit leaves less of their echo do not exist
+FAINT = 0.02  # facets that the incidence limit leaves less of their echo have no span
+BANDS = 4  # a smooth surface that fades about the incidence limit is taken as so many spans, each evenly bright
 GAP = 1e-4  # relative step in range that ends an echo span: ten times float32's error, below any sonar's resolution
 
 
@@ -123,8 +124,9 @@ def find_spans(
         items: Number of echo spans and of occluded spans to keep, see `max_items`.
         sampled: Whether the intervals were sampled. Then intervals may be missing between neighbours, and a step in
             range that the slopes of the two explain is not a gap.
-        by_facet: Whether an echo span also ends where the surface bends sharply. Each echo span is then about equally
-            bright all over, and those of facets a little beyond the incidence limit exist too.
+        by_facet: Whether an echo span also ends where the surface bends sharply, or fades by a quarter about the
+            incidence limit. Each echo span is then about equally bright all over, and there are also those of facets
+            beyond the limit that have some echo left.
         owner: Object that each interval (slab, interval) shows. If given, a span never joins two objects.
     """
     solid = intervals.winner >= 0
@@ -137,7 +139,9 @@ def find_spans(
     if by_facet is not False:
         normal = _normal(line)
         before = jnp.pad(normal[:, :-1], ((0, 0), (1, 0), (0, 0)))
-        goes_on &= ((normal * before).sum(-1) > SMOOTH_COSINE) | ~jnp.asarray(by_facet)
+        band = jnp.floor(BANDS * kept)
+        even = ((normal * before).sum(-1) > SMOOTH_COSINE) & (band == _previous(band))
+        goes_on &= even | ~jnp.asarray(by_facet)
     same_object = jnp.asarray(True) if owner is None else owner == _previous(owner)
     echo_span = _chain(shown, shown & ~(goes_on & same_object), items[0])
     occluded_span = _chain(solid, solid & ~(_previous(solid) & same_object), items[1])
@@ -411,7 +415,8 @@ def incidence_cosine(
 def kept_by_limit(cosine: Float[Array, "*batch"], max_incidence_deg: Any) -> Float[Array, "*batch"]:
     """Share of the echo [1] that an incidence limit [deg] leaves, given the `cosine` of incidence.
 
-    A logistic step in the cosine's ratio to that of the limit, where the share is one half. A limit of 90° leaves all.
+    A logistic step in the cosine's ratio to that of the limit, where the share is one half. A limit of 90° leaves all;
+    one below some 40° also takes from echoes at normal incidence. No source: a model of ours.
     """
     limit = jnp.maximum(jnp.cos(jnp.radians(max_incidence_deg)), 1e-3)
     return jax.nn.sigmoid(STEEPNESS * (cosine / limit - 1))

@@ -265,8 +265,8 @@ def render_echo(
     The echo is the elevation that first hits fill. Multiplied by eq. 2's spreading for each range, it is the object's
     energy as in `render_window`, at the cost of a highlight: a facet's elevation is spread evenly over the ranges that
     it shows in a slab. The gradient covers where this elevation falls, not how much it is. Of the incidence, the echo
-    only knows the limit `sonar.highlight_max_incidence`, about which it fades, with a gradient by the limit
-    (`sonar.lambert` is not used).
+    only knows the limit `sonar.highlight_max_incidence` (`sonar.lambert` is not used): by facet it fades about the
+    limit, with a gradient by it, else it ends there. On round bodies the gradient is right in sum, not pixel by pixel.
 
     Args:
         mesh: One mesh, not stacked.

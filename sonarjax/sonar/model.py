@@ -57,7 +57,10 @@ class Sonar:
     lambert: Scalar = 0.0
     """Exponent of cos(incidence) in the strength of an echo; 0 as in eq. 2, 1 or 2 for Lambert's law."""
     highlight_max_incidence: Scalar = 90.0
-    """Largest angle of incidence, from a facet's normal, that still gives highlight [deg]; 90 for any."""
+    """Largest angle of incidence, from a facet's normal, that still gives highlight [deg]; 90 for any.
+
+    Echoes in templates fade about it; `intensity` does not depend on it.
+    """
     floor: FloorPatch | None = None
     """A platform instead of an endless floor; None for the endless floor."""
     geometry_std: GeometryStd | None = None

@@ -33,8 +33,8 @@ class FloorPatch:
 class GeometryStd:
     """How well a sonar's geometry is known: standard deviations, for example from a calibration.
 
-    A value is 0 where none is stated. `range_scale`, `azimuth_scale`, `beam_bend` and `beam_skew` are the parameters of
-    that name in `sonarjax.calibrate.PARAMETERS`.
+    A value is 0 where none is stated. Angles are in radians, but for the incidence limit, as in `Sonar`. `range_scale`,
+    `azimuth_scale`, `beam_bend` and `beam_skew` are the parameters of that name in `sonarjax.calibrate.PARAMETERS`.
     """
 
     tilt: Scalar = 0.0

@@ -13,10 +13,12 @@ import pytest
 
 import sonarjax as sj
 from sonarjax.calibrate.calibration import WIDENING, _possible
+from sonarjax.calibrate.fit import Job, _put_back, _starts
 from sonarjax.calibrate.linearise import OWN, Observation, linearise
 from sonarjax.calibrate.look import LOOK
 from sonarjax.calibrate.parameters import changed_sonar
 from sonarjax.calibrate.picture import make_sampling
+from sonarjax.engine import PLAIN
 from sonarjax.render import WindowSize
 from sonarjax.sensor import SensorModel, observe_scene
 from sonarjax.sonar import GeometryStd
@@ -137,6 +139,19 @@ def test_an_incidence_limit_comes_back() -> None:
     assert found.determined == {"tilt": True, "highlight_max_incidence": True}
     assert float(found.sonar.highlight_max_incidence) == pytest.approx(limit, abs=6.0)
     assert found.sonar.geometry_std.highlight_max_incidence == found.std["highlight_max_incidence"] < 8.0
+
+
+def test_an_undetermined_number_is_put_back_but_no_limit_stays_no_limit() -> None:
+    free = ("tilt", "highlight_max_incidence")
+    sonar = NOMINAL.replace(highlight_max_incidence=70.0)
+    job = Job([], sj.objects.brick(), sonar, free, np.ones(2), PLAIN, print)
+    for change, loose, expected in (
+        ([0.1, 5.0], ("highlight_max_incidence",), [0.1, 0.0]),
+        ([0.1, 30.0], ("highlight_max_incidence",), [0.1, 20.0]),
+        ([0.1, 5.0], ("tilt",), [0.0, 5.0]),
+    ):
+        np.testing.assert_array_equal(_put_back(job, np.array(change), loose), expected)
+    assert _starts(job, "highlight_max_incidence") == [0.0, 20.0, 5.0, -10.0, -25.0]
 
 
 def test_no_incidence_limit_is_above_90_degrees() -> None:

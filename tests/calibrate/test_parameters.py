@@ -26,8 +26,10 @@ def test_each_number_changes_what_it_says() -> None:
     def changed(name: str, value: float) -> sj.Sonar:
         return changed_sonar(SONAR, (name,), jnp.array([value]))
 
-    for name in ("tilt", "roll", "height", "elevation_aperture", "highlight_max_incidence"):
+    for name in ("tilt", "roll", "height", "elevation_aperture"):
         assert float(getattr(changed(name, 0.01), name)) == pytest.approx(float(getattr(SONAR, name)) + 0.01)
+    for change, limit in ((-25.0, 65.0), (5.0, 90.0), (-120.0, 1.0)):  # [deg]; what no sonar can have is not reached
+        assert float(changed("highlight_max_incidence", change).highlight_max_incidence) == pytest.approx(limit)
     assert float(changed("range_offset", 0.02).range_max) == pytest.approx(4.02)
     stretched = changed("range_scale", 0.01)
     assert (float(stretched.range_min), float(stretched.range_max)) == pytest.approx((1.515, 4.04))

@@ -38,3 +38,21 @@ def test_undetermined_number_has_no_error_bar() -> None:
     found = calibration(determined={"tilt": False}, bound={"tilt": 1.0})
     text = describe_calibration(found, sj.Sonar.preset("didson-hf"), ["a.png"]).splitlines()
     assert text[0] == "tilt: not determined by these frames, left at its nominal value"
+
+
+@pytest.mark.parametrize(
+    ("change", "determined", "said"),
+    [
+        (-10.0, True, "highlight_max_incidence: 60°, changed by -10° ± 4°"),
+        (0.0, False, "highlight_max_incidence: not determined by these frames, left at its nominal value"),
+        (20.0, False, "highlight_max_incidence: not determined by these frames, which show no limit"),
+    ],
+)
+def test_an_incidence_limit_is_told_in_degrees(change: float, determined: bool, said: str) -> None:
+    name = "highlight_max_incidence"
+    found = calibration(
+        free=(name,), change=np.array([change]), covariance=np.array([[16.0]]), determined={name: determined},
+        bound={name: 3.0}, weakest={name: 1.0},
+    )  # fmt: skip
+    nominal = sj.Sonar.preset("didson-hf", highlight_max_incidence=70.0)
+    assert describe_calibration(found, nominal, ["a.png"]).splitlines()[0] == said

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import sys
+from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
@@ -52,6 +54,21 @@ def test_it_is_what_a_wrong_geometry_does_to_the_yaw(window):
     both = yaw_std_of_geometry(image, MESH, SONAR, POSE, STATED, CONFIG, window=window)
     assert both == pytest.approx(math.hypot(*shares.values()), rel=1e-5)
     assert max(shares.values()) > math.radians(0.3), "nothing to see: the test would pass with zeros"
+
+
+def test_an_incidence_limit_counts_only_if_there_is_one(monkeypatch):
+    moved = []
+
+    def refined(image, mesh, sonar, pose, **how):
+        moved.append(float(sonar.highlight_max_incidence))
+        return replace(pose, yaw=0.01 * moved[-1])
+
+    monkeypatch.setattr(sys.modules["sonarjax.calibrate.yaw_error"], "refine_yaw", refined)
+    stated, limited = {"highlight_max_incidence": 5.0}, SONAR.replace(highlight_max_incidence=60.0)
+    image = np.zeros(SONAR.shape, np.float32)
+    assert yaw_std_of_geometry(image, MESH, SONAR, POSE, stated, CONFIG) == 0.0
+    assert yaw_std_of_geometry(image, MESH, limited, POSE, stated, CONFIG) == pytest.approx(0.05)
+    assert sorted(moved) == [55.0, 65.0]
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -30,6 +31,16 @@ def test_round_trip(pairs, folder):
     back = import_pairs(folder)
     np.testing.assert_allclose(back.image, pairs.image, atol=1e-7)
     np.testing.assert_array_equal(back.labels, pairs.labels)
+
+
+def test_rounding_beyond_the_range_is_taken_and_more_is_not(pairs, tmp_path):
+    """`cut_box` may leave [0, 1] by a few units in the last place."""
+    image = np.asarray(pairs.image).copy()
+    image[0, :2, 0] = np.float32(1.0000002), np.float32(-1e-7)
+    export_pairs(replace(pairs, image=jnp.asarray(image)), tmp_path / "rounded")
+    np.testing.assert_array_equal(import_pairs(tmp_path / "rounded").image[0, :2, 0], [1.0, 0.0])
+    with pytest.raises(SonarjaxError, match=r"image: expected values in \[0, 1\]"):
+        export_pairs(replace(pairs, image=jnp.asarray(image + 0.001)), tmp_path / "more")
 
 
 def test_other_tools_find_names_numbers_and_settings(pairs, folder):

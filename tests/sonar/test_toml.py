@@ -56,7 +56,7 @@ def test_round_trip_of_every_field(tmp_path):
     }
     values |= {"frequency": 1.25e-7, "height": jnp.float32(0.7), "tilt": np.float64(0.3)}
     values["floor"] = FloorPatch(x=1.7844, y=0.0393, length=0.4, width=0.41, yaw=-0.2)
-    values["geometry_std"] = GeometryStd(tilt=0.01, height=0.02, azimuth_scale=0.003)
+    values["geometry_std"] = GeometryStd(tilt=0.01, height=0.02, azimuth_scale=0.003, highlight_max_incidence=4.0)
     sonar = Sonar(**values)
     sonar.to_toml(tmp_path / "sonar.toml")
     back = Sonar.from_toml(str(tmp_path / "sonar.toml"))
