@@ -139,7 +139,7 @@ def find_spans(
     if by_facet is not False:
         normal = _normal(line)
         before = jnp.pad(normal[:, :-1], ((0, 0), (1, 0), (0, 0)))
-        band = jnp.floor(BANDS * kept)
+        band = jnp.minimum(jnp.floor(BANDS * kept), BANDS - 1)
         even = ((normal * before).sum(-1) > SMOOTH_COSINE) & (band == _previous(band))
         goes_on &= even | ~jnp.asarray(by_facet)
     same_object = jnp.asarray(True) if owner is None else owner == _previous(owner)
