@@ -32,6 +32,7 @@ from experiments.common.metrics import columns, yaw_error_deg
 from experiments.common.outside import OutsideFrame, read_set
 from experiments.common.runs import Job
 from experiments.common.sets import target
+from sonarjax.calibrate import compare_templates
 from sonarjax.calibrate.calibration import WIDENING
 from sonarjax.calibrate.parameters import changed_sonar
 from sonarjax.sensor import SensorModel
@@ -77,7 +78,7 @@ class Settings:
 def run(settings: Settings, job: Job) -> Report:
     """Errors of the drawn devices, and what calibration does for the other simulator's sets."""
     numbers = {f"device {k}": k for k in range(settings.devices)}
-    drawn = job.map(lambda k: _drawn(settings, job.seed, k), numbers, "devices")
+    drawn = job.map(lambda k: _drawn(settings, job, k), numbers, "devices")
     folder = settings.external or os.environ.get("SONARJAX_EXTERNAL_DATA", "")
     sets: dict[str, Any] = {}
     if folder:
@@ -94,8 +95,9 @@ def run(settings: Settings, job: Job) -> Report:
     return {"rows": rows, "sets": rows_of_sets, "calibration_s": seconds, "widening": _widening(drawn.values())}
 
 
-def _drawn(settings: Settings, seed: int, number: int) -> dict[str, Any]:
-    key = jax.random.fold_in(jax.random.key(seed), 5000 + number)
+def _drawn(settings: Settings, job: Job, number: int) -> dict[str, Any]:
+    """The errors of one device; of the first one, frames and templates before and after are kept for the figure."""
+    key = jax.random.fold_in(jax.random.key(job.seed), 5000 + number)
     shares = np.asarray(jax.random.uniform(jax.random.fold_in(key, 0), (len(FREE),), minval=-1, maxval=1), float)
     off = shares * OFF
     nominal = sonar_for(20.0)
@@ -104,13 +106,17 @@ def _drawn(settings: Settings, seed: int, number: int) -> dict[str, Any]:
     begun = time.perf_counter()
     how: dict[str, Any] = {"free": FREE, "prior": dict(zip(FREE, OFF, strict=True))}
     found = sj.calibrate(images, target(), nominal, segmenter=settings.segmenter, engine=engine(), **how)
+    seconds = time.perf_counter() - begun
+    if number == 0:
+        frames, before, after = compare_templates(found, images, target(), nominal)
+        job.arrays("before_after", image=frames, nominal=before, fitted=after)
     return {
         "error": dict(zip(FREE, (found.change - off).tolist(), strict=True)),
         "std": found.std,
         "bound": found.bound,
         "determined": found.determined,
         "used": int(found.used.sum()),
-        "seconds": time.perf_counter() - begun,
+        "seconds": seconds,
     }
 
 

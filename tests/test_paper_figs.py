@@ -19,6 +19,7 @@ from skimage.io import imread
 
 from experiments import ablate, bench_dataset, fit_threshold, reproduce_paper
 from experiments.common import paper
+from experiments.common.frames import sonar_for
 from experiments.common.runs import load
 from experiments.common.tables import correlation_table, receiver_curve
 from paper_figs import ablations, baseline, docs_pages, docs_slice, index, readme, report, style
@@ -169,6 +170,15 @@ def make_poses(runs: Path, rng: np.random.Generator) -> None:
     finish(runs, "lean_pose", {"rows": rows, "per_frame": found})
 
 
+def make_calibration(runs: Path, rng: np.random.Generator) -> None:
+    names = "tilt [°]", "height [cm]", "range scale [%]", "azimuth scale [%]"
+    image, template = rng.random((4, *sonar_for(20.0).shape)), np.full((4, *sonar_for(20.0).shape), 0.5)
+    template[:, 200:230, 40:60] = 1.0
+    arrays = {"image": image, "nominal": template, "fitted": np.roll(template, 20, axis=1)}
+    report = {"rows": [row(rng, "median", number=name) for name in names], "sets": []}
+    finish(runs, "self_calibration", report, before_after=arrays)
+
+
 def make_catalog(runs: Path, rng: np.random.Generator) -> None:
     names, sets = ["target", "target, mirror image", "brick"], ("drawn devices", "the judge")
     rows = [row(rng, "top_1", "alike", "identified", "refused", frames_of=name) for name in sets]
@@ -216,6 +226,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
         make_ablations,
         make_turntable,
         make_poses,
+        make_calibration,
         make_tracks,
         make_catalog,
         make_shapes,
