@@ -36,8 +36,11 @@ def draw(run: Run) -> Figure:
             plot_polar(ax, image, sonar)
             draw_outline(ax, found[name][k], sonar)
             _crop(ax, (both != BACKGROUND).any(axis=0), sonar)
-            ax.set_title(name, fontsize="small")
-            ax.label_outer()
+            ax.set_title(name)
+            if ax is not axes[1, k]:
+                ax.set_xlabel("")
+            if k:
+                ax.set_ylabel("")
     return figure
 
 
