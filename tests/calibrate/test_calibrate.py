@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import sys
-from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +11,7 @@ import numpy as np
 import pytest
 
 import sonarjax as sj
+from experiments.incidence_limit import darkened
 from sonarjax.calibrate.calibration import WIDENING, _possible
 from sonarjax.calibrate.fit import Job, _put_back, _starts
 from sonarjax.calibrate.linearise import OWN, Observation, linearise
@@ -121,18 +121,13 @@ def test_an_uneven_beam_table_comes_back() -> None:
 @pytest.mark.slow
 @pytest.mark.computes
 def test_an_incidence_limit_comes_back() -> None:
-    """Facets beyond it have no echo. Which those are is computed here, from the mesh alone."""
+    """Facets beyond it have no echo. Which those are is computed from the mesh alone."""
     limit, mesh = 62.0, sj.objects.target()
     poses = [sj.Pose(2.2 + 0.02 * k, 0.05 * (k - 3.5), 0.8 * k) for k in range(8)]
     model = jax.tree.map(jnp.float32, SensorModel.nominal())
     images = []
     for k, pose in enumerate(poses):
-        corners = np.asarray(pose.to_ground(mesh.vertices))[np.asarray(mesh.faces)]
-        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        ray = corners.mean(axis=1) - [0.0, 0.0, NOMINAL.height]
-        size = np.linalg.norm(normal, axis=1) * np.linalg.norm(ray, axis=1)
-        seen = np.abs((normal * ray).sum(axis=1)) >= math.cos(math.radians(limit)) * size
-        dark = replace(mesh, reflectivity=jnp.asarray(seen, jnp.float32))
+        dark = darkened(mesh, pose, NOMINAL, limit)
         images.append(np.asarray(observe_scene(dark, pose, NOMINAL, model, key=jax.random.key(k))[0]))
     at = jax.tree.map(lambda *v: jnp.stack([jnp.asarray(x, jnp.float32) for x in v]), *poses)
     found = sj.calibrate(images, mesh, NOMINAL, free=("tilt", "highlight_max_incidence"), poses=at)
