@@ -25,10 +25,9 @@ from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns
 from experiments.common.runs import Job
 from experiments.common.sets import target
-from sonarjax.calibrate.parameters import changed_sonar
+from sonarjax.calibrate.parameters import INCIDENCE, changed_sonar
 from sonarjax.sensor import SensorModel
 
-LIMIT = "highlight_max_incidence"
 GEOMETRY = ("tilt", "height")
 OFF = (math.radians(2.0), 0.05)
 """By how much tilt and height differ from the nominal sonar at most [rad, m]; the prior is told this as deviation."""
@@ -77,7 +76,7 @@ def _device(settings: Settings, seed: int, number: int) -> dict[str, Any]:
     true = changed_sonar(nominal, GEOMETRY, jnp.asarray(off, jnp.float32))
     images = _frames(true, limit, settings, key=key)
     result: dict[str, Any] = {"limit": limit}
-    for how, free in (("none", GEOMETRY), ("free", (*GEOMETRY, LIMIT))):
+    for how, free in (("none", GEOMETRY), ("free", (*GEOMETRY, INCIDENCE))):
         found = sj.calibrate(
             images, target(), nominal, free=free, prior=dict(zip(GEOMETRY, OFF, strict=True)), present=True,
             segmenter=settings.segmenter, engine=engine(),
@@ -85,8 +84,8 @@ def _device(settings: Settings, seed: int, number: int) -> dict[str, Any]:
         result[how] = {
             "tilt": math.degrees(found.change[0] - off[0]),
             "height": 100 * (found.change[1] - off[1]),
-            "determined": found.determined.get(LIMIT),
-            "std": found.std.get(LIMIT),
+            "determined": found.determined.get(INCIDENCE),
+            "std": found.std.get(INCIDENCE),
             "limit": float(found.sonar.highlight_max_incidence),
         }
     return result

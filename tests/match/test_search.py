@@ -15,7 +15,7 @@ from sonarjax.io.errors import OutOfViewError
 from sonarjax.match import first_look, search
 from sonarjax.match.first_look import FirstLook
 from sonarjax.match.lean import LeanSearch, LeanSearchConfig
-from sonarjax.match.search import SearchConfig, TargetSearch
+from sonarjax.match.search import SearchConfig, TargetSearch, rounded_up
 
 SONAR = sj.Sonar.preset("didson-hf", tilt=math.radians(20.0))
 
@@ -63,6 +63,17 @@ def test_a_fan_to_one_side_is_searched_in_its_middle() -> None:
     assert abs(math.remainder(yaw - 0.7, 2 * math.pi)) < math.radians(15.5)
     lean = LeanSearch(search, ("yaw", "x", "y"), LeanSearchConfig(yaw_bins=12)).find(image)
     assert abs(math.remainder(float(lean.poses.yaw[0]) - yaw, 2 * math.pi)) < math.radians(2.0)
+
+
+@pytest.mark.parametrize(("frame", "shape"), [((128, 96), (64, 32)), ((60, 24), (60, 24))])
+def test_coarse_templates_grow_behind_and_to_port_within_the_frame(
+    frame: tuple[int, int], shape: tuple[int, int]
+) -> None:
+    drawn = np.random.default_rng(0).random((2, 50, 20)).astype(np.float32)
+    padded = rounded_up(drawn, frame)
+    assert padded.shape[1:] == shape
+    np.testing.assert_array_equal(padded[:, :50, :20], drawn)
+    assert (padded[:, 50:] == 0.5).all() and (padded[:, :, 20:] == 0.5).all()
 
 
 def test_a_bank_says_that_its_object_is_out_of_view() -> None:
