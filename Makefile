@@ -1,4 +1,4 @@
-# make test        lint, spelling, types, fast tests    make test-all    that, slow tests, experiments and notebooks
+# make test        lint, spelling, types, fast tests    make test-all    that, slow tests, peers, experiments, notebooks
 # make test-peers  the tests beside PyTorch, which is installed for them
 # make smoke       every experiment and notebook in brief  make reproduce   the main job: figures and report under runs/
 # make docs        the site: spelling, links, API        make docs-all    the same with the notebooks executed
@@ -34,8 +34,8 @@ test-peers: $(VENV)/.stamp-all
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -k pytorchs tests/segment
 
 test-all: test $(VENV)/.stamp-all
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -m slow
-	$(MAKE) smoke
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -m slow -k "not pytorchs"
+	$(MAKE) test-peers smoke
 
 smoke: $(VENV)/.stamp-smoke
 	$(BIN)/python -m experiments --smoke --workers $(WORKERS)

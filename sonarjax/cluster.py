@@ -8,17 +8,21 @@ travel through Dask.
 
 from __future__ import annotations
 
+import json
 import re
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from itertools import islice
+from pathlib import Path
 from typing import Any
 
 from sonarjax.cpu import CpuEngine, cores, tune
 from sonarjax.engine import Engine
+from sonarjax.io.console import complain
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.files import reason
 
 DEATHS = 1000
 """How many workers may die at one item before it is given up; they may be killed for unrelated reasons."""
@@ -123,7 +127,8 @@ def connect(address: str) -> Iterator[ClusterEngine]:
         An engine that streams over the workers of the cluster.
 
     Raises:
-        SonarjaxError: `address` is none of these, nobody answers there, or the package `distributed` is missing.
+        SonarjaxError: `address` is none of these, nobody answers there, the scheduler's file is missing or is none, or
+            the package `distributed` is missing.
     """
     try:
         import dask
@@ -151,11 +156,27 @@ def connect(address: str) -> Iterator[ClusterEngine]:
             ):
                 yield ClusterEngine(client)
             return
-        where = {"scheduler_file": address} if address.endswith(".json") else {"address": address}
+        scheduler = _address_in(address) if address.endswith(".json") else address
         try:
-            client = Client(timeout=CONNECT_S, **where)
+            client = Client(scheduler, timeout=CONNECT_S)
         except (OSError, ValueError, TimeoutError) as error:
             reason = " ".join(str(error).split())[:120]
             raise SonarjaxError(f"--cluster: no scheduler answers at {address}: {reason}") from error
         with client:
+            if not client.nthreads():
+                complain("--cluster: the scheduler has no workers yet: waiting for the first", kind="")
             yield ClusterEngine(client)
+
+
+def _address_in(path: str) -> str:
+    """The address in a scheduler's file; Dask itself would wait for ever for a file that is not there."""
+    try:
+        found = json.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SonarjaxError(f"--cluster: {path}: cannot be read: {reason(error)}") from error
+    except (ValueError, RecursionError) as error:
+        raise SonarjaxError(f"--cluster: {path}: expected the JSON file that a Dask scheduler writes") from error
+    address = found.get("address") if isinstance(found, dict) else None
+    if not isinstance(address, str):
+        raise SonarjaxError(f"--cluster: {path}: address: expected that of a Dask scheduler")
+    return address

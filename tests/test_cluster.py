@@ -99,6 +99,23 @@ def test_what_is_no_cluster_is_one_clear_error(address):
         pass
 
 
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (None, "cannot be read: No such file"),
+        ("{", "expected the JSON file that a Dask scheduler writes"),
+        ("[1]", "address: expected that of a Dask scheduler"),
+        ('{"address": 1}', "address: expected that of a Dask scheduler"),
+    ],
+)
+def test_a_file_that_is_no_schedulers_is_one_clear_error(content, said, tmp_path):
+    path = tmp_path / "scheduler.json"
+    if content is not None:
+        path.write_text(content)
+    with pytest.raises(SonarjaxError, match=f"--cluster: {path}: {said}"), connect(str(path)):
+        pass
+
+
 def test_a_network_travels_to_a_worker_as_it_is(rng):
     from distributed.protocol import deserialize, serialize
 
@@ -127,6 +144,19 @@ def test_killed_workers_cost_nothing_but_time():
                     os.kill(one, signal.SIGKILL)
     assert found == [7 + k * k for k in range(16)]
     assert len(pids) > 2
+
+
+@pytest.mark.slow
+def test_a_scheduler_is_found_by_its_file_and_without_workers_one_line_says_so(tmp_path, capsys):
+    with connect("local:1") as engine:
+        cluster, (worker,) = engine.client.cluster, engine.client.nthreads()
+        engine.client.write_scheduler_file(str(tmp_path / "scheduler.json"))
+        with connect(str(tmp_path / "scheduler.json")) as other:
+            assert list(other.stream(stumble, -1, range(3))) == [0, 1, 2]
+        assert capsys.readouterr().err == ""
+        engine.client.retire_workers([worker])
+        with connect(cluster.scheduler_address):
+            assert "has no workers yet: waiting for the first" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -351,24 +351,36 @@ def test_gradients_are_central_differences(name: str) -> None:
     assert found == pytest.approx(wanted, rel=0.02)
 
 
+TRUTH = sj.Pose(2.2, 0.05, 0.4)
+
+
+@cache
+def polished_yaws() -> Callable[..., Any]:
+    """The compiled sum of the yaws refined from starts, by weight, its gradients by image and starts, and the yaws."""
+    config = sj.RefineConfig(blurs=(2.0, 0.8), polish=20, sharpness=0.0)
+
+    def total(image: jax.Array, starts: sj.Pose, weights: jax.Array) -> tuple[jax.Array, sj.YawEstimate]:
+        found = sj.refine_yaw(image, BRICK, SONAR, starts, config=config, window=WHOLE)
+        return (found.yaw * weights).sum(), found
+
+    return jax.jit(jax.value_and_grad(total, (0, 1), has_aux=True, allow_int=True))
+
+
 @pytest.mark.slow
 def test_gradient_of_a_refined_yaw_is_how_the_yaw_moves() -> None:
     """By the image, along the difference to one that is a little turned: the implicit derivative at the solution."""
-    truth, config = sj.Pose(2.2, 0.05, 0.4), sj.RefineConfig(blurs=(2.0, 0.8), polish=20, sharpness=0.0)
-    image, other = (semantic(replace(truth, yaw=truth.yaw + turn)) for turn in (0.0, 0.03))
-    along = other - image
+    image, other = (semantic(replace(TRUTH, yaw=TRUTH.yaw + turn)) for turn in (0.0, 0.03))
+    along, first = other - image, jnp.arange(6) == 0
+    starts = jax.tree.map(lambda v, edge: jnp.asarray(edge).at[0].set(v), TRUTH, EDGES)
 
-    def yaw(share: Any) -> Any:
-        return sj.refine_yaw(image + share * along, BRICK, SONAR, truth, config=config, window=WHOLE)
+    def yaw(share: float) -> Any:
+        return polished_yaws()(image + share * along, starts, first.astype(jnp.float32))
 
-    here = yaw(0.0)
-    assert bool(here.determined)
-    found = float(jax.grad(lambda share: yaw(share).yaw)(0.0))
-    by_start = jax.grad(
-        lambda start: sj.refine_yaw(image, BRICK, SONAR, start, config=config, window=WHOLE).yaw, allow_int=True
-    )(truth)
-    assert not any(np.asarray(v).any() for v in jax.tree.leaves(by_start))  # a minimum does not depend on it
-    wanted = (float(yaw(0.2).yaw) - float(yaw(-0.2).yaw)) / 0.4
+    (_, here), (by_image, by_starts) = yaw(0.0)
+    assert bool(here.determined[0])
+    found = float((by_image * along).sum())
+    assert not any(np.asarray(v).any() for v in jax.tree.leaves(by_starts))  # a minimum does not depend on its start
+    wanted = (float(yaw(0.2)[0][0]) - float(yaw(-0.2)[0][0])) / 0.4
     print(f"\nimplicit {found:.4f}, differences {wanted:.4f}")
     assert found == pytest.approx(wanted, rel=0.25)
 
@@ -421,11 +433,7 @@ def test_refinement_is_finite_for_2000_pairs(template: str) -> None:
 
 @pytest.mark.slow
 def test_polished_refinement_and_its_gradient_are_finite() -> None:
-    config = sj.RefineConfig(blurs=(2.0, 0.8))
     for image in (jnp.full(SONAR.shape, 0.5), noise()):
-        finite(sj.refine_yaw(image, BRICK, SONAR, EDGES, config=config, window=WHOLE))
-
-        def total(image: jax.Array) -> jax.Array:
-            return sj.refine_yaw(image, BRICK, SONAR, EDGES, config=config, window=WHOLE).yaw.sum()
-
-        assert np.isfinite(np.asarray(jax.jit(jax.grad(total))(image))).all()
+        (_, found), (by_image, _) = polished_yaws()(image, EDGES, jnp.ones(6))
+        finite(found)
+        assert np.isfinite(np.asarray(by_image)).all()

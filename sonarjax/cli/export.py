@@ -32,6 +32,8 @@ def run(args: argparse.Namespace) -> int:
         SonarjaxError: The input cannot be used.
     """
     check_outputs({"--onnx": args.onnx}, (args.segmenter,))
+    if not args.onnx.lower().endswith(".onnx"):
+        raise SonarjaxError(f"--onnx: expected a name that ends in .onnx, got {args.onnx!r}")
     if args.segmenter not in SEGMENTERS and not args.segmenter.endswith(".safetensors"):
         raise SonarjaxError(f"--segmenter: expected pix2pix or a .safetensors file, got {args.segmenter!r}")
     start_jax()

@@ -44,8 +44,8 @@ def add(commands: Any) -> None:
         "--track", action="store_true", help="the frames are one sequence: find yaw and place from all so far"
     )
     command.add_argument(
-        "--motion", choices=("turning", "standing"),
-        help="with --track, how the target may move from frame to frame (default: turning)",
+        "--motion", choices=("turning", "standing"), metavar="HOW",
+        help="with --track: the target is `turning` (default) or `standing`",
     )  # fmt: skip
     command.add_argument("--cluster", metavar="WHERE", help=CLUSTER_HELP)
     add_mesh_options(command)
@@ -76,20 +76,18 @@ def run(args: argparse.Namespace) -> int:
     check_segmenter(args.segmenter)
     sonar = Sonar.from_toml(args.sonar)
     meshes = {name: load_mesh(file, sonar, args) for name, file in files.items()}
-    # A single mesh is passed without its name; results then call it `target`.
-    targets = meshes if len(meshes) > 1 else next(iter(meshes.values()))
     refine, engine = None if args.no_refine else MAP_REFINEMENT, usual_engine()
     segmenter = load_segmenter(args.segmenter)
     _check_threshold(args, segmenter)
     try:  # before any frame is read, refuse a sonar that sees no floor or too much of it
-        recognizer = Recognizer(targets, sonar, segmenter=segmenter, refine=refine, engine=engine)
+        recognizer = Recognizer(meshes, sonar, segmenter=segmenter, refine=refine, engine=engine)
     except SonarjaxError as error:
         raise SonarjaxError(naming(args.sonar, error)) from error
     motion = Standing() if args.motion == "standing" else Turning()
     tracker = Tracker(recognizer, motion, threshold=args.threshold) if args.track else None
     frames = frames_for(sonar, args.frames, args.sonar)
     if args.cluster is not None:
-        work = Work(secrets.token_hex(8), targets, sonar, segmenter, refine, args.threshold)
+        work = Work(secrets.token_hex(8), meshes, sonar, segmenter, refine, args.threshold)
         with engine_of(args.cluster) as workers:
             return _write(args.out, workers.stream(recognize_on_worker, work, frames))
     if len(meshes) > 1:
@@ -166,7 +164,7 @@ class Work:
     token: str
     """Identifies one run of the command."""
     targets: Lazy = field(compare=False)
-    """The targets, in the form that `Recognizer` takes."""
+    """The targets by name."""
     sonar: Lazy = field(compare=False)
     """The sonar."""
     segmenter: Lazy = field(compare=False)

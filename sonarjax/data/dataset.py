@@ -319,7 +319,7 @@ def _others_are_done(target: Path, mine: range, plan: Plan) -> bool:
 
 
 def _is_done(target: Path, chunk: int, plan: Plan) -> bool:
-    """Whether a chunk's part holds a record of each of its frames, and all their files exist."""
+    """Whether a chunk's part holds a record of each of its frames, and all their files are there, no picture empty."""
     try:
         lines = [json.loads(line) for line in _part(target, chunk).read_text(encoding="utf-8").splitlines()]
         whole = [line["number"] for line in lines] == list(_numbers(chunk, plan.frames))
@@ -327,7 +327,8 @@ def _is_done(target: Path, chunk: int, plan: Plan) -> bool:
         for line in lines if whole else ():
             paths = paths_of(plan.format, line["number"])
             whole &= needed <= line.keys() and all(line[name] == path for name, path in paths.items())
-            whole &= all((target / path).is_file() for path in paths.values())
+            sizes = {path: (target / path).stat().st_size for path in paths.values()}
+            whole &= all(size > 0 or path.endswith(".txt") for path, size in sizes.items())  # YOLO's, without an object
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return False  # there is none, or it is damaged
     return whole and (chunk > 0 or (target / SHEET).is_file())

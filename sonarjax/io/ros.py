@@ -6,7 +6,6 @@ so a long log takes no more memory than a short one.
 
 from __future__ import annotations
 
-import itertools
 import os
 import secrets
 import shutil
@@ -16,6 +15,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+from sonarjax.io.bag_messages import Lost, bag_messages
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.files import reason
 from sonarjax.io.frame import Frame
@@ -56,8 +56,8 @@ def bag_topics(path: str) -> dict[str, int]:
 def bag_records(path: str, topic: str | None = None, index: int | None = None) -> Iterator[Record]:
     """Yield the sonar images of a bag in order of time, or only image `index`; an unreadable image as its error.
 
-    Without `topic`, the bag must have exactly one topic of sonar images. If the bag is damaged inside, one last error
-    is yielded, and everything after the damage is lost.
+    Without `topic`, the bag must have exactly one topic of sonar images. If the bag is damaged inside, one error is
+    yielded for all images that are lost together (see `bag_messages`).
 
     Raises:
         SonarjaxError: The file is missing or not a bag, `rosbags` is not installed, or the topic or image does not
@@ -71,19 +71,28 @@ def bag_records(path: str, topic: str | None = None, index: int | None = None) -
         if counts[chosen] == 0:
             raise SonarjaxError(f"{path}:{chosen}: expected sonar images, the topic has none")
         wanted = [c for c in reader.connections if c.topic == chosen and is_sonar_image(c.msgtype)]
-        messages = reader.messages(connections=wanted)
-        for number in itertools.count():
-            try:
-                connection, _, raw = next(messages)
-            except StopIteration:
+        for found in bag_messages(reader, wanted):
+            if isinstance(found, Lost):
+                if index is None or _holds(found, index):
+                    yield _lost(f"{path}:{chosen}", found)
+                continue
+            if index is None or found.number == index:
+                yield _record(reader, path, found.connection, found.raw, found.number, counts[chosen])
+            if found.number == index:
                 return
-            except Exception as error:
-                yield SonarjaxError(f"{path}:{chosen}:{number}: the bag cannot be read from here on: {reason(error)}")
-                return
-            if index is None or number == index:
-                yield _record(reader, path, connection, raw, number, counts[chosen])
-            if number == index:
-                return
+
+
+def _holds(lost: Lost, index: int) -> bool:
+    return lost.first <= index and (lost.last is None or index <= lost.last)
+
+
+def _lost(where: str, lost: Lost) -> SonarjaxError:
+    """The error that stands for lost frames; it names the first."""
+    told = "the bag cannot be read from here on"
+    if lost.last is not None:
+        last = "" if lost.last == lost.first else f" to {lost.last}"
+        told = f"the bag is damaged: frame {lost.first}{last} cannot be read"
+    return SonarjaxError(f"{where}:{lost.first}: {told}: {reason(lost.error)}")
 
 
 def write_bag(path: str | os.PathLike[str], frames: Iterable[Frame], topic: str = TOPIC) -> int:

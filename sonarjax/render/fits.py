@@ -6,6 +6,7 @@ import numpy as np
 
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.scene import Mesh
+from sonarjax.scene.limits import MILLIMETRES
 from sonarjax.sonar import Sonar
 
 
@@ -25,8 +26,7 @@ def check_fits(mesh: Mesh, sonar: Sonar, name: str) -> None:
     extent = float(np.ptp(np.asarray(mesh.vertices), axis=0).max())
     reach = float(np.max(np.asarray(sonar.range_max)))
     if extent > reach:
-        hint = "in millimetres? then give --unit-m 0.001, in Python unit_m=0.001"
         raise SonarjaxError(
             f"{name}: the mesh is {extent:.4g} m long, but the sonar's range ends at {reach:.4g} m (range_max_m): "
-            f"expected a smaller object{f' ({hint})' if extent <= 1000 * reach else ''}"
+            f"expected a smaller object{f' ({MILLIMETRES})' if extent <= 1000 * reach else ''}"
         )

@@ -23,6 +23,8 @@ FARTHEST_POSE_M = 1e6
 """Largest coordinate of a pose [m]. Anything so far away is out of every sonar's view, and 10²⁰ m overflows float32."""
 LARGEST_ANGLE = 1e6
 """Largest angle of a pose [rad], about 160,000 revolutions; float32 resolves 0.06 rad there."""
+MILLIMETRES = "in millimetres? then give --unit-m 0.001, in Python unit_m=0.001"
+"""What an error asks about a mesh that is too long by a factor of up to 1000."""
 MAX_FACES = 2**21
 """Most triangles of a mesh; reading so many takes 2 GiB of memory and minutes."""
 
@@ -39,7 +41,7 @@ def check_coordinates(vertices: Float[np.ndarray, "vertex 3"], name: str) -> Non
     with np.errstate(over="ignore"):  # an extent that overflows to infinity is too long as well
         extent = float((high - low).max())
     if extent > LARGEST_EXTENT_M:
-        hint = "in millimetres? then give unit_m=0.001" if extent <= 1000 * LARGEST_EXTENT_M else "is the file corrupt?"
+        hint = MILLIMETRES if extent <= 1000 * LARGEST_EXTENT_M else "is the file corrupt?"
         raise SonarjaxError(f"{name}: the mesh is {extent:.4g} m long; expected metres ({hint})")
     if extent < SMALLEST_EXTENT_M:
         raise SonarjaxError(

@@ -77,8 +77,8 @@ def stand_in(monkeypatch) -> SimpleNamespace:
             raise state.failures[len(state.calls)]
 
     class Recognizer(sys.modules["sonarjax.recognize"].Recognizer):  # trackers take no other
-        def __init__(self, mesh, sonar, *, segmenter, refine, engine):
-            self.targets, self.search, self.refine = {"target": mesh}, SearchConfig(), None
+        def __init__(self, targets, sonar, *, segmenter, refine, engine):
+            self.targets, self.search, self.refine = targets, SearchConfig(), None
             self.sonar, self.options = sonar, {"segmenter": segmenter.name, "refine": refine is not None}
 
         def __call__(self, image, mask=None, *, semantic=None, threshold=None, starts=()):

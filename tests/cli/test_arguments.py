@@ -49,6 +49,12 @@ def test_help_names_what_the_contract_lists(command, command_name):
     assert all(word in out for word in expected)
 
 
+@pytest.mark.parametrize("command_name", COMMANDS)
+def test_help_fits_on_one_screen(command, command_name, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    assert len(command(command_name, "--help")[1].splitlines()) <= 40
+
+
 def test_help_names_every_segmenter(command):
     for name in ("recognize", "segment"):
         _, out, _ = command(name, "--help")

@@ -28,7 +28,8 @@ def test_shipped_network_is_exported(command, tmp_path):
         (["--onnx", "f.onnx", "--segmenter", "none.safetensors"], "none.safetensors"),
         (["--onnx", "f.onnx", "--segmenter", "broken.safetensors"], "expected a complete safetensors file"),
         (["--onnx", "broken.safetensors", "--segmenter", "broken.safetensors"], "would overwrite the input"),
-        (["--onnx", "folder"], "this is a folder"),
+        (["--onnx", "folder.onnx"], "this is a folder"),
+        (["--onnx", "f.txt"], "--onnx: expected a name that ends in .onnx, got 'f.txt'"),
         (["--onnx", "missing/f.onnx"], "cannot be written"),
         ([], "--onnx"),
     ],
@@ -36,7 +37,7 @@ def test_shipped_network_is_exported(command, tmp_path):
 def test_what_cannot_be_exported(complaint, tmp_path, monkeypatch, arguments, said):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "broken.safetensors").write_bytes(b"no such file")
-    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder.onnx").mkdir()
     assert said in complaint(2, "export", *arguments)
-    assert sorted(p.name for p in tmp_path.rglob("*")) == ["broken.safetensors", "folder"]
+    assert sorted(p.name for p in tmp_path.rglob("*")) == ["broken.safetensors", "folder.onnx"]
     assert (tmp_path / "broken.safetensors").read_bytes() == b"no such file"

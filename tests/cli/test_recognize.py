@@ -31,7 +31,7 @@ def test_a_rendered_frame_is_recognized_with_every_field(recognize, rendered):
     assert set(record) == FIELDS
     assert (record["frame"], record["segmenter"], record["schema"]) == (str(rendered), "none", 2)
     assert all(set(found) == {"yaw_deg", "score", "yaw_std_deg", "converged"} for found in record["hypotheses"])
-    assert (record["target"], record["runner_up"], record["margin"]) == ("target", None, None)
+    assert (record["target"], record["runner_up"], record["margin"]) == ("brick", None, None)
     assert set(record["yaw_set"]) == {"modes", "within_68", "within_95"}
     assert sum(mode["weight"] for mode in record["yaw_set"]["modes"]) == pytest.approx(1.0)
     for name, share in (("within_68", 0.68), ("within_95", 0.95)):

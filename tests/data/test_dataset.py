@@ -285,7 +285,8 @@ DAMAGES = ("sheet gone", "empty", "cut off", "line gone", "no record", "manifest
 
 
 @pytest.mark.parametrize(
-    ("format", "what"), [*((name, "file gone") for name in FORMATS), *(("coco", name) for name in DAMAGES)]
+    ("format", "what"),
+    [*((name, "file gone") for name in FORMATS), ("npz", "picture empty"), *(("coco", name) for name in DAMAGES)],
 )
 def test_what_is_damaged_is_drawn_again(make, format, what):
     folder = make("a", CHUNK + 3, format=format)
@@ -295,6 +296,8 @@ def test_what_is_damaged_is_drawn_again(make, format, what):
     if what == "file gone":
         last = sorted(p for p in folder.rglob(f"*{CHUNK + 2:08d}.*"))[-1]
         last.unlink()
+    elif what == "picture empty":
+        next(folder.rglob(f"*{CHUNK + 1:08d}.npz")).write_bytes(b"")
     elif what == "sheet gone":
         (folder / dataset.SHEET).unlink()
     elif what == "manifest":

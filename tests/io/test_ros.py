@@ -1,6 +1,7 @@
 """Bags of ROS: those that rosbags wrote are read as the message's comments say, and what is written comes back."""
 
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from sonarjax.io import Frame, SonarjaxError, bag_topics, describe, iter_records, read_frames, write_bag
+from sonarjax.io.bag_messages import _behind_chunk, _behind_record
 
 TEXTS = {
     "PingInfo": "float32 frequency\nfloat32 sound_speed\nfloat32[] tx_beamwidths\nfloat32[] rx_beamwidths",
@@ -206,6 +208,75 @@ def test_a_damaged_bag_never_ends_in_a_foreign_error(tmp_path, name):
         except SonarjaxError as error:
             records = [error]
         assert all("\n" not in str(record) for record in records if isinstance(record, SonarjaxError))
+
+
+def in_chunks(path: Path, count: int) -> str:
+    """A bag of several chunks, of frames that are as large as a sonar's."""
+    directions = [(0.0, math.sin(a), math.cos(a)) for a in np.linspace(0.3, -0.3, 200)]
+    ranges, image = np.arange(1000, dtype=np.float32) * 0.01 + 1, np.zeros((1000, 200), np.uint8)
+    changed = {"directions": directions, "ranges": ranges, "beams": 200}
+    return bag(path, [changed | {"data": image + number} for number in range(count)])
+
+
+def outcome(path: str) -> tuple[list[int], list[str]]:
+    """The number of each frame that is read, as its pixels have it, and the errors."""
+    read, errors = [], []
+    for record in iter_records(path):
+        if isinstance(record, SonarjaxError):
+            errors.append(str(record))
+        else:
+            assert record.source.endswith(f":{round(record.image[0, 0] * 255)}")
+            read.append(round(record.image[0, 0] * 255))
+    return read, errors
+
+
+def test_a_damaged_record_of_a_ros_1_bag_costs_that_record(tmp_path):
+    path = in_chunks(tmp_path / "a.bag", 12)
+    content = bytearray(Path(path).read_bytes())
+    kinds = [found.end() - 1 for found in re.finditer(b"op=\x02", content)]
+    for number in (4, 11):
+        content[kinds[number]] = 99
+    Path(path).write_bytes(content)
+    read, errors = outcome(path)
+    assert read == [0, 1, 2, 3, 5, 6, 7, 8, 9, 10]
+    assert [error.partition(" cannot")[0] for error in errors] == [
+        f"{path}:/sonar:{k}: the bag is damaged: frame {k}" for k in (4, 11)
+    ]
+    assert outcome(f"{path}:/sonar:9") == ([9], [])
+    assert outcome(f"{path}:/sonar:4")[0] == []
+
+
+def test_a_damaged_record_of_an_mcap_file_costs_its_chunk(tmp_path):
+    path = in_chunks(tmp_path / "mcap", 24)
+    file = next(Path(path).glob("*.mcap"))
+    with AnyReader([Path(path)]) as reader:
+        size = 22 + len(next(reader.messages())[2])
+        chunks = reader.readers[0].storage.storages[0].chunks
+        first, second, *_ = (sum(chunk.channel_count.values()) for chunk in chunks)
+    content = bytearray(file.read_bytes())
+    head = b"\x05" + size.to_bytes(8, "little")
+    length = [found.start() + 1 for found in re.finditer(re.escape(head), content)][first + 1]
+    content[length : length + 8] = b"\xff" * 8
+    file.write_bytes(content)
+    read, errors = outcome(path)
+    assert read == [k for k in range(24) if not first <= k < first + second] and read[-1] == 23
+    assert len(errors) == 1
+    assert f":/sonar:{first}: the bag is damaged: frame {first} to {first + second - 1} cannot" in errors[0]
+    assert outcome(f"{path}:/sonar:23") == ([23], [])
+    assert len(outcome(f"{path}:/sonar:{first + 1}")[1]) == 1
+
+
+def test_chunks_that_overlap_in_time_are_not_skipped():
+    assert _behind_chunk([(0, 9, 3), (10, 19, 4), (20, 29, 5)], 4) == (7, 20, 0)
+    assert _behind_chunk([(0, 9, 3), (10, 19, 4)], 5) == (7, None, 0)
+    assert _behind_chunk([(0, 12, 3), (10, 19, 4), (20, 29, 5)], 4) is None
+    assert _behind_chunk([], 0) is None
+
+
+def test_messages_of_one_time_are_not_read_twice():
+    assert _behind_record([5, 7, 7, 7, 9], 1) == (2, 7, 1)
+    assert _behind_record([5, 7, 7, 7, 9], 3) == (4, 9, 0)
+    assert _behind_record([5, 7], 1) == (2, None, 0)
 
 
 @pytest.mark.parametrize("name", ["out.bag", "out", "out.mcap"])

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -143,14 +144,15 @@ def test_refine_yaw_is_its_first_case():
     poses = sj.Pose(np.array([2.3, 2.25]), np.array([0.05, -0.1]), np.array([0.4, 4.0]))
     images = GREY[np.asarray(sj.render(MESH, poses, SONAR).labels())]
     start = replace(poses, yaw=poses.yaw + 0.1, x=poses.x + 0.01)
-    alone = sj.refine_yaw(images, MESH, SONAR, start)
-    found = sj.refine_pose(images, MESH, SONAR, start)
+    window = sj.plan_refinement(MESH, SONAR, start, CONFIG)
+    how = {"config": CONFIG, "window": window, "engine": ENGINE}
+    alone, found = sj.refine_yaw(images, MESH, SONAR, start, **how), sj.refine_pose(images, MESH, SONAR, start, **how)
     for name in ("yaw", "x", "y"):
         np.testing.assert_allclose(getattr(found.pose, name), getattr(alone, name), atol=1e-6)
     np.testing.assert_allclose(found.std[:, 0], alone.yaw_std, rtol=1e-3)
     for name in ("score", "start_score", "converged", "determined"):
         np.testing.assert_allclose(getattr(found, name), getattr(alone, name), atol=1e-6)
-    assert np.asarray(found.determined).all() and np.asarray(found.observable).all()
+    assert np.asarray(found.observable).all()
 
 
 @pytest.mark.slow
@@ -186,14 +188,16 @@ def test_the_derivative_of_a_refined_lift_is_how_it_moves(truth, frames, size):
     image = np.asarray(frames.semantic())[0]
     along = np.asarray(sj.render(MESH, replace(pose, z=pose.z + 0.01), SONAR, quality=sj.RenderQuality(4)).semantic())
 
+    @jax.jit
+    @partial(jax.value_and_grad, has_aux=True)
     def lift(share):
         moved = image + share * (along - image)
-        return sj.refine_pose(moved, MESH, SONAR, pose, free=("x", "z", "pitch"), config=config, window=size)
+        estimate = sj.refine_pose(moved, MESH, SONAR, pose, free=("x", "z", "pitch"), config=config, window=size)
+        return estimate.pose.z, estimate.determined
 
-    here = lift(0.0)
-    assert bool(here.determined)
-    found = float(jax.jit(jax.grad(lambda share: lift(share).pose.z))(0.0))
-    wanted = (float(lift(0.2).pose.z) - float(lift(-0.2).pose.z)) / 0.4
+    (_, determined), found = lift(0.0)
+    assert bool(determined)
+    wanted = (float(lift(0.2)[0][0]) - float(lift(-0.2)[0][0])) / 0.4
     print(f"\nimplicit {found:.5f}, differences {wanted:.5f}")
     assert found == pytest.approx(wanted, rel=0.25)
 

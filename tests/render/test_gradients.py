@@ -19,7 +19,7 @@ SHAPE = SIZE.shape
 SUB_BEAMS, ELEVATIONS = 2, 64
 CONVERGED = 6  # sub-beams of the render that is differenced
 MESHES = {"target": objects.target, "ball": objects.ball, "brick": objects.brick}
-SCENES = 6  # a mesh
+SCENES = 4  # a mesh
 NAMES = ("yaw", "x", "y", "tilt", "height", "shape")
 # Three steps of each, longer than the image's own roughness, shorter than its curvature. Their median counts: in
 # float32 a sliver of the limb may flicker at one of them.
