@@ -28,8 +28,8 @@ COMPARISON: Mapping[str, float] = {
 """Weight of each number in the log-odds that a candidate is the one shown, fitted on validation frames
 (experiments/fit_candidates.py). How far the best yaw stands out is left out: it depends on the object's symmetry."""
 ROWS, COLUMNS, BEAMS = 256, 64, 16
-"""A shared window of class k = 1, 2, ... has `ROWS`·k range bins, a multiple of `COLUMNS` beams, and room for an object of
-`BEAMS`·(k + 1) beams: what is wide throws a long shadow, so few classes serve all."""
+"""A shared window of class k = 1, 2, ... has `ROWS`·k range bins, a multiple of `COLUMNS` beams, and room for an object
+of `BEAMS`·(k + 1) beams. A large object is wide and throws a long shadow, so few classes serve all."""
 SAME_START = math.radians(5.0)
 """Starts whose yaws differ by less [rad] count as one."""
 

@@ -42,4 +42,5 @@ def test_a_shared_window_holds_what_is_needed_and_is_one_of_few(size: tuple[floa
     mesh, at = sj.Mesh.from_arrays(*box(size, (0.0, 0.0, size[2] / 2))), sj.Pose(2.3)
     shared = plan_shared(mesh, SONAR, at, MAP_REFINEMENT)
     assert shared.holds(plan_refinement(mesh, SONAR, at, MAP_REFINEMENT))
-    assert shared.shape[0] in (256, 512) and shared.shape[1] in (64, 96) and shared.object_columns in (32, 48, 64, 80, 96)
+    assert shared.shape[0] in (256, 512) and shared.shape[1] in (64, 96)
+    assert shared.object_columns in (32, 48, 64, 80, 96)
