@@ -1,6 +1,6 @@
-# make test        lint, spelling, types, fast tests    make test-all    that, slow tests, peers, experiments, notebooks
-# make test-peers  the tests beside PyTorch, which is installed for them
-# make smoke       every experiment and notebook in brief  make reproduce   the main job: figures and report under runs/
+# make test        lint, spelling, types, fast tests    make reproduce   the main job: figures and report under runs/
+# make test-slow   the slow tests                       make smoke       every experiment and notebook in brief
+# make test-peers  the tests beside PyTorch             make test-all    all four kinds of tests, as CI runs them
 # make docs        the site: spelling, links, API        make docs-all    the same with the notebooks executed
 # make bench       speed against peers                    make format      rewrite the code in our format
 # make clean       remove the environment and the caches
@@ -20,7 +20,7 @@ BIN   := $(VENV)/bin
 SPEC  := pyproject.toml constraints.txt
 PIP   := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: test test-peers test-all smoke reproduce docs docs-all bench format clean
+.PHONY: test test-slow test-peers test-all smoke reproduce docs docs-all bench format clean
 .DELETE_ON_ERROR:
 
 test: $(VENV)/.stamp-test
@@ -33,9 +33,10 @@ test: $(VENV)/.stamp-test
 test-peers: $(VENV)/.stamp-all
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -k pytorchs tests/segment
 
-test-all: test $(VENV)/.stamp-all
+test-slow: $(VENV)/.stamp-all
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -m slow -k "not pytorchs"
-	$(MAKE) test-peers smoke
+
+test-all: test test-slow test-peers smoke
 
 smoke: $(VENV)/.stamp-smoke
 	$(BIN)/python -m experiments --smoke --workers $(WORKERS)

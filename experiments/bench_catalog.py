@@ -144,10 +144,10 @@ def resident_mb() -> float:
 
 
 LINES = {
-    "prepare_s": "to prepare, with compiling [s]", "prepare_work_s": "the same, work of one core [s]",
+    "prepare_s": "to prepare, with compiling [s]", "prepare_work_s": "to prepare, processor time [s]",
     "before_mb": "resident before [MB]", "resident_mb": "resident with all that is kept [MB]",
-    "residual": "largest residual: no score is off by more", "kept_s": "a frame, banks kept [s]",
-    "slowest_s": "the slowest of these [s]", "work_s": "a frame, banks kept, work of one core [s]",
+    "residual": "largest error of a first look's score", "kept_s": "a frame, banks kept [s]",
+    "slowest_s": "the slowest of these [s]", "work_s": "a frame, banks kept, processor time [s]",
     "anew_s": "a frame, candidates' banks rendered anew [s]", "network_s": "of a frame: the network [s]",
     "look_s": "of a frame: the first look at map and frame [s]", "candidates": "candidates looked at closely, mean",
     "right": "object right", "fine_anew_s": "360 yaws of one candidate, rendered anew [s]",

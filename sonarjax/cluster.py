@@ -28,6 +28,8 @@ DEATHS = 1000
 """How many workers may die at one item before it is given up; they may be killed for unrelated reasons."""
 CONNECT_S = 10
 """How long to wait for a scheduler [s]."""
+ADDRESS = re.compile(r"[a-z]+://\S+|\S+:[0-9]+")
+"""The address of a scheduler."""
 AHEAD = 2
 """Number of items that are submitted for each thread of the workers."""
 
@@ -127,8 +129,8 @@ def connect(address: str) -> Iterator[ClusterEngine]:
         An engine that streams over the workers of the cluster.
 
     Raises:
-        SonarjaxError: `address` is none of these, nobody answers there, the scheduler's file is missing or is none, or
-            the package `distributed` is missing.
+        SonarjaxError: `address` is none of these, nobody answers there, the scheduler's file is missing or is not
+            one, or the package `distributed` is missing.
     """
     try:
         import dask
@@ -136,7 +138,7 @@ def connect(address: str) -> Iterator[ClusterEngine]:
     except ImportError as error:
         raise SonarjaxError("--cluster: Dask is not installed: pip install 'sonarjax[cluster]'") from error
     match = re.fullmatch(r"local(?::([0-9]{1,4}))?", address)
-    if match is None and not re.fullmatch(r"[a-z]+://\S+|\S+:[0-9]+|.+\.json", address):
+    if match is None and not (ADDRESS.fullmatch(address) or address.endswith(".json")):
         raise SonarjaxError(
             f"--cluster: expected local, local:N, a scheduler's address such as tcp://host:8786, or the path of its "
             f"scheduler.json, got {address!r}"
@@ -159,9 +161,8 @@ def connect(address: str) -> Iterator[ClusterEngine]:
         scheduler = _address_in(address) if address.endswith(".json") else address
         try:
             client = Client(scheduler, timeout=CONNECT_S)
-        except (OSError, ValueError, TimeoutError) as error:
-            reason = " ".join(str(error).split())[:120]
-            raise SonarjaxError(f"--cluster: no scheduler answers at {address}: {reason}") from error
+        except (OSError, ValueError, TimeoutError, TypeError, AssertionError) as error:
+            raise SonarjaxError(f"--cluster: no scheduler answers at {address}: {reason(error)[:120]}") from error
         with client:
             if not client.nthreads():
                 complain("--cluster: the scheduler has no workers yet: waiting for the first", kind="")
@@ -177,6 +178,6 @@ def _address_in(path: str) -> str:
     except (ValueError, RecursionError) as error:
         raise SonarjaxError(f"--cluster: {path}: expected the JSON file that a Dask scheduler writes") from error
     address = found.get("address") if isinstance(found, dict) else None
-    if not isinstance(address, str):
+    if not isinstance(address, str) or not ADDRESS.fullmatch(address):
         raise SonarjaxError(f"--cluster: {path}: address: expected that of a Dask scheduler")
     return address

@@ -106,6 +106,7 @@ def test_what_is_no_cluster_is_one_clear_error(address):
         ("{", "expected the JSON file that a Dask scheduler writes"),
         ("[1]", "address: expected that of a Dask scheduler"),
         ('{"address": 1}', "address: expected that of a Dask scheduler"),
+        ('{"address": "hello"}', "address: expected that of a Dask scheduler"),
     ],
 )
 def test_a_file_that_is_no_schedulers_is_one_clear_error(content, said, tmp_path):

@@ -57,7 +57,7 @@ def test_neither_bare_floor_nor_noise_is_identified() -> None:
     seek = sj.Recognizer(scenes()["tower"].target, sonar, engine=engine())
     cases = [_empty_case(len(names) * k + names.index("tower"), 1, (20.0,)) for k in range(3)]
     assert all((case.clean == 0.5).all() and not case.is_target for case in cases)
-    assert sum(seek(case.image).identified for case in cases) <= 1
+    assert sum(seek(case.image).identified for case in cases) == 0
     assert not any(seek(noise.gamma(1.0, 0.1, sonar.shape).clip(0, 1)).identified for _ in range(2))
     assert not any(seek(noise.random(sonar.shape)).identified for _ in range(2))
     assert not seek(np.full(sonar.shape, 0.3)).identified

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator, Sequence
-from itertools import accumulate, pairwise
+from heapq import merge
+from itertools import accumulate
 from typing import Any, NamedTuple
 
 
@@ -19,18 +21,18 @@ class Message(NamedTuple):
 
 
 class Lost(NamedTuple):
-    """Messages that cannot be read."""
+    """A message that cannot be read."""
 
-    first: int
-    """Number of the first of them."""
-    last: int | None
-    """Number of the last; None if nothing can be read from the first on."""
+    number: int
+    """Its number among those that were asked for."""
     error: Exception
     """What `rosbags` raised."""
+    last: bool
+    """True if nothing behind it can be read either, although there may be more."""
 
 
 class _Place(NamedTuple):
-    """Where reading goes on: the message `number` is behind `skip` others of the same time [ns]."""
+    """Where reading goes on: at message `number`, behind `skip` others of the same time [ns]."""
 
     number: int
     time: int | None = None
@@ -38,12 +40,12 @@ class _Place(NamedTuple):
 
 
 def bag_messages(reader: Any, connections: Sequence[Any]) -> Iterator[Message | Lost]:
-    """Yield the messages of `connections` in order of time, and instead of damaged ones, that they are lost.
+    """Yield the messages of `connections` in order of time, and a `Lost` in the place of each one that is damaged.
 
-    In a ROS 1 bag a damaged record costs that record, in an MCAP file all of its chunk. In an MCAP file whose chunks
-    overlap in time, and in other bags, it costs all messages after it.
+    In a ROS 1 bag a damaged record costs that record, or in a compressed chunk all of the chunk. In an MCAP file it
+    costs all of its chunk. It costs everything behind it if MCAP chunks overlap in time, and in other bags.
     """
-    place = _Place(0)
+    place, delivered = _Place(0), 0
     while True:
         number, skip = place.number, place.skip
         try:
@@ -52,49 +54,66 @@ def bag_messages(reader: Any, connections: Sequence[Any]) -> Iterator[Message | 
                     skip -= 1
                     continue
                 yield Message(number, connection, raw)
-                number += 1
+                number, delivered = number + 1, delivered + 1
             return
         except Exception as error:  # on a damaged file rosbags raises whatever its parts raise
-            behind = _behind(reader, connections, number)
-            yield Lost(number, None if behind is None else behind.number - 1, error)
+            behind = _behind(reader, connections, number, delivered)
+            for lost in range(number, number + 1 if behind is None else behind.number):
+                yield Lost(lost, error, behind is None)
         if behind is None or behind.time is None:
             return
         place = behind
 
 
-def _behind(reader: Any, connections: Sequence[Any], number: int) -> _Place | None:
+def _behind(reader: Any, connections: Sequence[Any], number: int, delivered: int) -> _Place | None:
     """Where reading goes on if message `number` is damaged; None if the bag's index does not tell."""
     if len(reader.readers) != 1:
         return None
     bag = reader.readers[0]
     if hasattr(bag, "indexes"):
-        return _behind_record(sorted(entry.time for one in connections for entry in bag.indexes[one.id]), number)
+        return _behind_record(bag, [bag.indexes[one.id] for one in connections], number, delivered)
     storage = getattr(bag, "storage", None)
     files = getattr(storage, "storages", [storage])  # of a bag's folder, or the one file
     if not all(hasattr(file, "chunks") for file in files):
         return None
     topics = {(one.topic, one.msgtype) for one in connections}
     chunks = []
-    for file in files:
+    for file in files:  # one is read after the other, each in order of time
         ours = [one.id for one in file.connections if (one.topic, one.msgtype) in topics]
         counted = [(chunk, sum(chunk.channel_count.get(one, 0) for one in ours)) for chunk in file.chunks]
-        chunks += [(chunk.message_start_time, chunk.message_end_time, count) for chunk, count in counted if count]
+        chunks += sorted((chunk.message_start_time, chunk.message_end_time, count) for chunk, count in counted if count)
     return _behind_chunk(chunks, number)
 
 
-def _behind_record(times: Sequence[int], number: int) -> _Place:
-    """The place of the next message, from the times of all in order."""
-    following = number + 1
-    if following >= len(times):
-        return _Place(following)
-    return _Place(following, times[following], sum(time == times[following] for time in times[:following]))
+def _behind_record(bag: Any, indexes: Sequence[list[Any]], number: int, delivered: int) -> _Place:
+    """The place of the next message of a ROS 1 bag; the damaged one is taken out of the bag's index.
+
+    `rosbags` reads what the index lists; of what it has read before, `delivered` messages were whole.
+    """
+    entries = list(merge(*indexes))
+    damaged = entries.pop(delivered)
+    for index in indexes:
+        index[:] = [entry for entry in index if entry is not damaged]
+    bag.current_chunk = (-1, io.BytesIO())  # else a chunk that could not be unpacked passes for the current one
+    if delivered == len(entries):
+        return _Place(number + 1)
+    time = entries[delivered].time
+    return _Place(number + 1, time, sum(entry.time == time for entry in entries[:delivered]))
 
 
 def _behind_chunk(chunks: Sequence[tuple[int, int, int]], number: int) -> _Place | None:
-    """The place of the next chunk's first message, from each chunk's first and last time and number of messages."""
-    chunks = sorted(chunks)
+    """The place of the next chunk's first message, from each chunk's first and last time and number of messages.
+
+    None if a time does not separate the chunks, in the order in which they are read.
+    """
     ends = list(accumulate(count for *_, count in chunks))
     damaged = next((k for k, end in enumerate(ends) if number < end), None)
-    if damaged is None or any(later[0] <= one[1] for one, later in pairwise(chunks)):
+    if damaged is None or any(end > chunks[damaged][0] for _, end, _ in chunks[:damaged]):
         return None
-    return _Place(ends[damaged], chunks[damaged + 1][0]) if damaged + 1 < len(chunks) else _Place(ends[damaged])
+    behind = chunks[damaged + 1 :]
+    if not behind:
+        return _Place(ends[damaged])
+    time = behind[0][0]
+    if any(end >= time for _, end, _ in chunks[: damaged + 1]) or any(begin < time for begin, *_ in behind):
+        return None
+    return _Place(ends[damaged], time)

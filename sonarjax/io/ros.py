@@ -56,8 +56,8 @@ def bag_topics(path: str) -> dict[str, int]:
 def bag_records(path: str, topic: str | None = None, index: int | None = None) -> Iterator[Record]:
     """Yield the sonar images of a bag in order of time, or only image `index`; an unreadable image as its error.
 
-    Without `topic`, the bag must have exactly one topic of sonar images. If the bag is damaged inside, one error is
-    yielded for all images that are lost together (see `bag_messages`).
+    Without `topic`, the bag must have exactly one topic of sonar images. If the bag is damaged inside, an error is
+    yielded for each image that is lost, or one for all behind the damage (see `bag_messages`).
 
     Raises:
         SonarjaxError: The file is missing or not a bag, `rosbags` is not installed, or the topic or image does not
@@ -72,27 +72,16 @@ def bag_records(path: str, topic: str | None = None, index: int | None = None) -
             raise SonarjaxError(f"{path}:{chosen}: expected sonar images, the topic has none")
         wanted = [c for c in reader.connections if c.topic == chosen and is_sonar_image(c.msgtype)]
         for found in bag_messages(reader, wanted):
-            if isinstance(found, Lost):
-                if index is None or _holds(found, index):
-                    yield _lost(f"{path}:{chosen}", found)
+            gone = isinstance(found, Lost) and found.last
+            if index is not None and found.number != index and not gone:
                 continue
-            if index is None or found.number == index:
+            if isinstance(found, Lost):
+                told = "the bag cannot be read from here on" if gone else "the bag is damaged here"
+                yield SonarjaxError(f"{path}:{chosen}:{found.number}: {told}: {reason(found.error)}")
+            else:
                 yield _record(reader, path, found.connection, found.raw, found.number, counts[chosen])
-            if found.number == index:
+            if index is not None:
                 return
-
-
-def _holds(lost: Lost, index: int) -> bool:
-    return lost.first <= index and (lost.last is None or index <= lost.last)
-
-
-def _lost(where: str, lost: Lost) -> SonarjaxError:
-    """The error that stands for lost frames; it names the first."""
-    told = "the bag cannot be read from here on"
-    if lost.last is not None:
-        last = "" if lost.last == lost.first else f" to {lost.last}"
-        told = f"the bag is damaged: frame {lost.first}{last} cannot be read"
-    return SonarjaxError(f"{where}:{lost.first}: {told}: {reason(lost.error)}")
 
 
 def write_bag(path: str | os.PathLike[str], frames: Iterable[Frame], topic: str = TOPIC) -> int:

@@ -27,9 +27,10 @@ COMPARISON: Mapping[str, float] = {
 }  # fmt: skip
 """Weight of each number in the log-odds that a candidate is the one shown, fitted on validation frames
 (experiments/fit_candidates.py). How far the best yaw stands out is left out: it depends on the object's symmetry."""
-ROWS, COLUMNS, BEAMS = 256, 64, 16
-"""A shared window of class k = 1, 2, ... has `ROWS`·k range bins, a multiple of `COLUMNS` beams, and room for an object
-of `BEAMS`·(k + 1) beams. A large object is wide and throws a long shadow, so few classes serve all."""
+STEPS = (256, 64, 48)
+"""Shared windows are multiples of these: range bins, beams, and beams of the object."""
+FEW_BEAMS = 32
+"""Beams of the object in a shared window of the fewest range bins, if they suffice: most small objects are narrow."""
 SAME_START = math.radians(5.0)
 """Starts whose yaws differ by less [rad] count as one."""
 
@@ -93,13 +94,15 @@ def plan_shared(mesh: Mesh, sonar: Sonar, at: Pose, config: RefineConfig) -> Win
         config: How refinement searches.
 
     Returns:
-        The smallest shared size that holds the one from `plan_refinement`, limited to the frame.
+        The size from `plan_refinement`, rounded up to multiples of `STEPS`, or in a small window to `FEW_BEAMS`, and
+        limited to the frame.
     """
     needed = plan_refinement(mesh, sonar, at, config)
-    rows, columns, beams = *needed.shape, needed.object_columns or sonar.n_beams
-    k = max(math.ceil(rows / ROWS), math.ceil(beams / BEAMS) - 1, 1)
-    shape = min(ROWS * k, sonar.n_ranges), min(math.ceil(columns / COLUMNS) * COLUMNS, sonar.n_beams)
-    return WindowSize(shape, min(BEAMS * (k + 1), sonar.n_beams))
+    sizes = *needed.shape, needed.object_columns or sonar.n_beams
+    most = sonar.n_ranges, sonar.n_beams, sonar.n_beams
+    rows, columns, beams = (min(-(-n // step) * step, m) for n, step, m in zip(sizes, STEPS, most, strict=True))
+    few = rows <= STEPS[0] and sizes[2] <= FEW_BEAMS
+    return WindowSize((rows, columns), min(FEW_BEAMS, beams) if few else beams)
 
 
 def quick_evidence(

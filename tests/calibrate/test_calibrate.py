@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +13,7 @@ import pytest
 
 import sonarjax as sj
 from experiments.incidence_limit import darkened
-from sonarjax.calibrate.calibration import LEAST_SHARE, WIDENING, _likeliest, _possible
+from sonarjax.calibrate.calibration import WIDENING, _possible
 from sonarjax.calibrate.fit import Job, _put_back, _starts
 from sonarjax.calibrate.linearise import OWN, Observation, linearise
 from sonarjax.calibrate.look import LOOK
@@ -68,10 +69,31 @@ def test_frames_without_the_target_are_refused() -> None:
         sj.calibrate(noise, sj.objects.target(), NOMINAL, prior=prior)
 
 
-def test_unlikely_frames_are_left_out_unless_the_target_is_known_to_be_there() -> None:
-    probability = np.array([0.9, 0.1, 0.8, 0.2, 0.3, 0.0, 0.0, 0.0])
-    assert np.flatnonzero(_likeliest(probability, LEAST_SHARE)).tolist() == [0, 2, 4]
-    assert _likeliest(probability, 1.0).all()
+@pytest.mark.parametrize(("present", "fitted"), [(False, [[0, 2, 4], [0, 2]]), (True, [list(range(8))] * 2)])
+def test_unlikely_frames_are_left_out_unless_the_target_is_present(monkeypatch, present, fitted) -> None:
+    """Without its search and fit: which frames are fitted, at first and with the nearly right sonar."""
+    module = sys.modules["sonarjax.calibrate.calibration"]
+    images = [np.full(NOMINAL.shape, 0.1 * k, np.float32) for k in range(8)]
+    likely = [0.9, 0.1, 0.8, 0.2, 0.3, 0.0, 0.0, 0.0]
+    seen, taken = [SimpleNamespace(pose=sj.Pose(2.2), probability=p) for p in likely], []
+
+    def fit(job, frames, *rest):
+        taken.append([round(10 * float(frame.image[0, 0])) for frame in frames])
+        return SimpleNamespace(point=SimpleNamespace(shared=np.zeros(1 + len(LOOK)))), None
+
+    monkeypatch.setattr(module, "detect", lambda *given: seen)
+    monkeypatch.setattr(module, "fit_frames", fit)
+
+    def result(*given):
+        made = object.__new__(sj.Calibration)
+        object.__setattr__(made, "used", given[-1])
+        return made
+
+    monkeypatch.setattr(module, "_as_calibration", result)
+    segmenter = sj.load_segmenter()  # its rule says what is likely
+    monkeypatch.setattr(type(segmenter), "semantic", lambda self, image, *rest: image)
+    found = sj.calibrate(images, sj.objects.brick(), NOMINAL, free=("tilt",), present=present, segmenter=segmenter)
+    assert taken == fitted and np.flatnonzero(found.used).tolist() == fitted[1]
 
 
 @pytest.mark.slow
@@ -143,15 +165,11 @@ def test_no_incidence_limit_is_above_90_degrees() -> None:
 @pytest.mark.parametrize(
     ("free", "off", "free_steps"),
     [
+        (FREE, OFF, (2e-3, 2e-3)),
         (
-            (*FREE, "azimuth_scale", "beam_bend", "beam_skew"),
-            (*OFF, 0.0, 0.0, 0.0),
-            (2e-3, 2e-3, 5e-3, 1e-2, 1e-2),
-        ),
-        (
-            ("roll", "elevation_aperture", "range_offset", "range_scale"),
-            (0.02, 0.01, 0.01, 0.004),
-            (4e-3, 2e-3, 1e-3, 5e-4),
+            ("azimuth_scale", "beam_bend", "beam_skew", "roll", "elevation_aperture", "range_offset", "range_scale"),
+            (0.01, 0.02, -0.02, 0.02, 0.01, 0.01, 0.004),
+            (5e-3, 1e-2, 1e-2, 4e-3, 2e-3, 1e-3, 5e-4),
         ),
         (("highlight_max_incidence",), (-25.0,), (0.5,)),
     ],

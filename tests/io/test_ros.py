@@ -13,7 +13,7 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from sonarjax.io import Frame, SonarjaxError, bag_topics, describe, iter_records, read_frames, write_bag
-from sonarjax.io.bag_messages import _behind_chunk, _behind_record
+from sonarjax.io.bag_messages import _behind_chunk
 
 TEXTS = {
     "PingInfo": "float32 frequency\nfloat32 sound_speed\nfloat32[] tx_beamwidths\nfloat32[] rx_beamwidths",
@@ -230,20 +230,55 @@ def outcome(path: str) -> tuple[list[int], list[str]]:
     return read, errors
 
 
-def test_a_damaged_record_of_a_ros_1_bag_costs_that_record(tmp_path):
-    path = in_chunks(tmp_path / "a.bag", 12)
+def damage(path: str, numbers: tuple[int, ...]) -> None:
+    """Write another kind of record into the headers of these messages of a ROS 1 bag."""
     content = bytearray(Path(path).read_bytes())
     kinds = [found.end() - 1 for found in re.finditer(b"op=\x02", content)]
-    for number in (4, 11):
+    for number in numbers:
         content[kinds[number]] = 99
     Path(path).write_bytes(content)
+
+
+def test_a_damaged_record_of_a_ros_1_bag_costs_that_record(tmp_path):
+    path = in_chunks(tmp_path / "a.bag", 12)
+    damage(path, (0, 4, 5, 11))
     read, errors = outcome(path)
-    assert read == [0, 1, 2, 3, 5, 6, 7, 8, 9, 10]
-    assert [error.partition(" cannot")[0] for error in errors] == [
-        f"{path}:/sonar:{k}: the bag is damaged: frame {k}" for k in (4, 11)
-    ]
+    assert read == [1, 2, 3, 6, 7, 8, 9, 10]
+    said = [error.partition(" here")[0] for error in errors]
+    assert said == [f"{path}:/sonar:{k}: the bag is damaged" for k in (0, 4, 5, 11)]
     assert outcome(f"{path}:/sonar:9") == ([9], [])
-    assert outcome(f"{path}:/sonar:4")[0] == []
+    assert outcome(f"{path}:/sonar:4") == ([], [errors[1]])
+
+
+def test_messages_of_one_time_are_read_once(tmp_path, monkeypatch):
+    """All have the same time, and the second is damaged."""
+    monkeypatch.setattr(Writer1, "write", lambda self, one, _, raw, write=Writer1.write: write(self, one, 7, raw))
+    path = in_chunks(tmp_path / "a.bag", 8)
+    damage(path, (1,))
+    read, errors = outcome(path)
+    assert read == [0, 2, 3, 4, 5, 6, 7] and len(errors) == 1
+
+
+def test_a_damaged_chunk_of_a_compressed_ros_1_bag_costs_its_frames(tmp_path, monkeypatch):
+    def compressed(path, plain=Writer1):
+        writer = plain(path)
+        writer.set_compression(writer.CompressionFormat.LZ4)
+        return writer
+
+    monkeypatch.setitem(globals(), "Writer1", compressed)
+    noise = np.random.default_rng(0).integers(256, size=(30, 200, 200), dtype=np.uint8)
+    directions = [(0.0, math.sin(a), math.cos(a)) for a in np.linspace(0.3, -0.3, 200)]
+    shape = {"directions": directions, "ranges": np.arange(200, dtype=np.float32) * 0.01 + 1, "beams": 200}
+    noise[:, 0, 0] = np.arange(30)
+    path = bag(tmp_path / "a.bag", [shape | {"data": image} for image in noise])
+    content = bytearray(Path(path).read_bytes())
+    start = [found.start() for found in re.finditer(b"\x04\x22\x4d\x18", content)][1]  # of LZ4's second frame
+    content[start] = 0
+    Path(path).write_bytes(content)
+    read, errors = outcome(path)
+    lost = sorted(set(range(30)) - set(read))
+    assert [int(error.split("/sonar:")[1].partition(":")[0]) for error in errors] == lost
+    assert lost == list(range(lost[0], lost[-1] + 1)) and 0 < lost[0] < lost[-1]
 
 
 def test_a_damaged_record_of_an_mcap_file_costs_its_chunk(tmp_path):
@@ -259,24 +294,21 @@ def test_a_damaged_record_of_an_mcap_file_costs_its_chunk(tmp_path):
     content[length : length + 8] = b"\xff" * 8
     file.write_bytes(content)
     read, errors = outcome(path)
-    assert read == [k for k in range(24) if not first <= k < first + second] and read[-1] == 23
-    assert len(errors) == 1
-    assert f":/sonar:{first}: the bag is damaged: frame {first} to {first + second - 1} cannot" in errors[0]
+    lost = range(first, first + second)
+    assert read == [k for k in range(24) if k not in lost] and read[-1] == 23
+    assert [error.partition(" here")[0] for error in errors] == [f"{path}:/sonar:{k}: the bag is damaged" for k in lost]
     assert outcome(f"{path}:/sonar:23") == ([23], [])
-    assert len(outcome(f"{path}:/sonar:{first + 1}")[1]) == 1
+    assert outcome(f"{path}:/sonar:{first + 1}") == ([], [errors[1]])
 
 
-def test_chunks_that_overlap_in_time_are_not_skipped():
+def test_chunks_are_skipped_only_where_a_time_separates_them():
     assert _behind_chunk([(0, 9, 3), (10, 19, 4), (20, 29, 5)], 4) == (7, 20, 0)
+    assert _behind_chunk([(0, 10, 3), (10, 19, 4), (20, 29, 5), (29, 35, 1)], 4) == (7, 20, 0)
     assert _behind_chunk([(0, 9, 3), (10, 19, 4)], 5) == (7, None, 0)
     assert _behind_chunk([(0, 12, 3), (10, 19, 4), (20, 29, 5)], 4) is None
+    assert _behind_chunk([(0, 9, 3), (10, 20, 4), (20, 29, 5)], 4) is None
+    assert _behind_chunk([(10, 19, 4), (0, 9, 3)], 0) is None  # files that are listed out of order
     assert _behind_chunk([], 0) is None
-
-
-def test_messages_of_one_time_are_not_read_twice():
-    assert _behind_record([5, 7, 7, 7, 9], 1) == (2, 7, 1)
-    assert _behind_record([5, 7, 7, 7, 9], 3) == (4, 9, 0)
-    assert _behind_record([5, 7], 1) == (2, None, 0)
 
 
 @pytest.mark.parametrize("name", ["out.bag", "out", "out.mcap"])

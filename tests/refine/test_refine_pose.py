@@ -150,7 +150,7 @@ def test_refine_yaw_is_its_first_case():
     for name in ("yaw", "x", "y"):
         np.testing.assert_allclose(getattr(found.pose, name), getattr(alone, name), atol=1e-6)
     np.testing.assert_allclose(found.std[:, 0], alone.yaw_std, rtol=1e-3)
-    for name in ("score", "start_score", "converged", "determined"):
+    for name in ("score", "start_score", "converged"):
         np.testing.assert_allclose(getattr(found, name), getattr(alone, name), atol=1e-6)
     assert np.asarray(found.observable).all()
 
