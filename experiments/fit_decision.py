@@ -282,5 +282,5 @@ def table(report: Report) -> str:
 
 
 if __name__ == "__main__":
-    small = {"count": 8, "empty": 4, "walled": 2, "empty_walled": 2}
+    small = {"count": 4, "empty": 2, "walled": 1, "empty_walled": 1}
     launch(run, Settings, table, smoke=small | {"segmenter": "none", "tilts_deg": (20.0,)})

@@ -59,16 +59,6 @@ def test_tilt_and_height_come_back_and_the_other_object_is_left_out(frames) -> N
     assert found.sonar.geometry_std.tilt == pytest.approx(found.std["tilt"])
 
 
-@pytest.mark.slow
-@pytest.mark.computes
-def test_frames_without_the_target_are_refused() -> None:
-    """Speckle alone."""
-    noise = np.random.default_rng(0).gamma(1.0, 0.1, (2, *NOMINAL.shape)).astype(np.float32).clip(0, 1)
-    prior = {"tilt": 0.03, "height": 0.05}
-    with pytest.raises(sj.SonarjaxError, match=r"frames: the target was not found in any of the 2 frames"):
-        sj.calibrate(noise, sj.objects.target(), NOMINAL, prior=prior)
-
-
 @pytest.mark.parametrize(("present", "fitted"), [(False, [[0, 2, 4], [0, 2]]), (True, [list(range(8))] * 2)])
 def test_unlikely_frames_are_left_out_unless_the_target_is_present(monkeypatch, present, fitted) -> None:
     """Without its search and fit: which frames are fitted, at first and with the nearly right sonar."""
@@ -81,19 +71,25 @@ def test_unlikely_frames_are_left_out_unless_the_target_is_present(monkeypatch, 
         taken.append([round(10 * float(frame.image[0, 0])) for frame in frames])
         return SimpleNamespace(point=SimpleNamespace(shared=np.zeros(1 + len(LOOK)))), None
 
-    monkeypatch.setattr(module, "detect", lambda *given: seen)
-    monkeypatch.setattr(module, "fit_frames", fit)
-
     def result(*given):
         made = object.__new__(sj.Calibration)
         object.__setattr__(made, "used", given[-1])
         return made
 
+    monkeypatch.setattr(module, "detect", lambda *given: seen)
+    monkeypatch.setattr(module, "fit_frames", fit)
     monkeypatch.setattr(module, "_as_calibration", result)
     segmenter = sj.load_segmenter()  # its rule says what is likely
     monkeypatch.setattr(type(segmenter), "semantic", lambda self, image, *rest: image)
-    found = sj.calibrate(images, sj.objects.brick(), NOMINAL, free=("tilt",), present=present, segmenter=segmenter)
+    how = {"free": ("tilt",), "present": present, "segmenter": segmenter}
+    found = sj.calibrate(images, sj.objects.brick(), NOMINAL, **how)
     assert taken == fitted and np.flatnonzero(found.used).tolist() == fitted[1]
+    seen[:] = [SimpleNamespace(pose=one.pose, probability=0.1) for one in seen]
+    if present:
+        assert sj.calibrate(images, sj.objects.brick(), NOMINAL, **how).used.all()
+    else:
+        with pytest.raises(sj.SonarjaxError, match=r"frames: the target was not found in any of the 8 frames"):
+            sj.calibrate(images, sj.objects.brick(), NOMINAL, **how)
 
 
 @pytest.mark.slow
