@@ -9,6 +9,10 @@ from itertools import accumulate
 from typing import Any, NamedTuple
 
 
+MOST_LOST = 100_000
+"""No chunk holds more sonar images; if an index says so, it is damaged too."""
+
+
 class Message(NamedTuple):
     """A message as it is stored."""
 
@@ -85,12 +89,14 @@ def _behind(reader: Any, connections: Sequence[Any], number: int, delivered: int
     return _behind_chunk(chunks, number)
 
 
-def _behind_record(bag: Any, indexes: Sequence[list[Any]], number: int, delivered: int) -> _Place:
+def _behind_record(bag: Any, indexes: Sequence[list[Any]], number: int, delivered: int) -> _Place | None:
     """The place of the next message of a ROS 1 bag; the damaged one is taken out of the bag's index.
 
     `rosbags` reads what the index lists; of what it has read before, `delivered` messages were whole.
     """
     entries = list(merge(*indexes))
+    if delivered >= len(entries):
+        return None
     damaged = entries.pop(delivered)
     for index in indexes:
         index[:] = [entry for entry in index if entry is not damaged]
@@ -109,6 +115,8 @@ def _behind_chunk(chunks: Sequence[tuple[int, int, int]], number: int) -> _Place
     ends = list(accumulate(count for *_, count in chunks))
     damaged = next((k for k, end in enumerate(ends) if number < end), None)
     if damaged is None or any(end > chunks[damaged][0] for _, end, _ in chunks[:damaged]):
+        return None
+    if ends[damaged] - number > MOST_LOST:
         return None
     behind = chunks[damaged + 1 :]
     if not behind:

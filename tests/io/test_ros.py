@@ -308,6 +308,7 @@ def test_chunks_are_skipped_only_where_a_time_separates_them():
     assert _behind_chunk([(0, 12, 3), (10, 19, 4), (20, 29, 5)], 4) is None
     assert _behind_chunk([(0, 9, 3), (10, 20, 4), (20, 29, 5)], 4) is None
     assert _behind_chunk([(10, 19, 4), (0, 9, 3)], 0) is None  # files that are listed out of order
+    assert _behind_chunk([(0, 9, 10**12), (10, 19, 4)], 0) is None  # an index that is damaged itself
     assert _behind_chunk([], 0) is None
 
 
