@@ -8,7 +8,6 @@ from heapq import merge
 from itertools import accumulate
 from typing import Any, NamedTuple
 
-
 MOST_LOST = 100_000
 """No chunk holds more sonar images; if an index says so, it is damaged too."""
 
