@@ -15,14 +15,13 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from itertools import islice
-from pathlib import Path
 from typing import Any
 
 from sonarjax.cpu import CpuEngine, cores, tune
 from sonarjax.engine import Engine
 from sonarjax.io.console import complain
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.io.files import reason
+from sonarjax.io.files import read_bytes, reason
 
 DEATHS = 1000
 """How many workers may die at one item before it is given up; they may be killed for unrelated reasons."""
@@ -172,9 +171,9 @@ def connect(address: str) -> Iterator[ClusterEngine]:
 def _address_in(path: str) -> str:
     """The address in a scheduler's file; Dask itself would wait for ever for a file that is not there."""
     try:
-        found = json.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise SonarjaxError(f"--cluster: {path}: cannot be read: {reason(error)}") from error
+        found = json.loads(read_bytes(path))
+    except SonarjaxError as error:
+        raise SonarjaxError(f"--cluster: {error}") from error
     except (ValueError, RecursionError) as error:
         raise SonarjaxError(f"--cluster: {path}: expected the JSON file that a Dask scheduler writes") from error
     address = found.get("address") if isinstance(found, dict) else None

@@ -102,7 +102,7 @@ def test_what_is_no_cluster_is_one_clear_error(address):
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        (None, "cannot be read: No such file"),
+        (None, "no such file"),
         ("{", "expected the JSON file that a Dask scheduler writes"),
         ("[1]", "address: expected that of a Dask scheduler"),
         ('{"address": 1}', "address: expected that of a Dask scheduler"),

@@ -327,11 +327,15 @@ def _is_done(target: Path, chunk: int, plan: Plan) -> bool:
         for line in lines if whole else ():
             paths = paths_of(plan.format, line["number"])
             whole &= needed <= line.keys() and all(line[name] == path for name, path in paths.items())
-            sizes = {path: (target / path).stat().st_size for path in paths.values()}
-            whole &= all(size > 0 or path.endswith(".txt") for path, size in sizes.items())  # YOLO's, without an object
+            whole &= all(_is_written(target / path) for path in paths.values())
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return False  # there is none, or it is damaged
     return whole and (chunk > 0 or (target / SHEET).is_file())
+
+
+def _is_written(file: Path) -> bool:
+    """Whether a file is there and not empty. YOLO's text is empty for a frame that shows no object."""
+    return file.is_file() and (file.suffix == ".txt" or file.stat().st_size > 0)
 
 
 def _lines(target: Path, count: int) -> Iterator[dict[str, Any]]:

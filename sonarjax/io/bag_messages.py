@@ -1,4 +1,4 @@
-"""The messages of a bag in order of time. Reading goes on behind damage, which costs as few of them as possible."""
+"""The messages of a bag in order of time. Reading goes on past damage, which costs as few of them as possible."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ class Lost(NamedTuple):
     error: Exception
     """What `rosbags` raised."""
     last: bool
-    """True if nothing behind it can be read either, although there may be more."""
+    """True if nothing after it can be read either, although there may be more."""
 
 
 class _Place(NamedTuple):
-    """Where reading goes on: at message `number`, behind `skip` others of the same time [ns]."""
+    """Where reading goes on: at message `number`, after `skip` others of the same time [ns]."""
 
     number: int
     time: int | None = None
@@ -46,7 +46,7 @@ def bag_messages(reader: Any, connections: Sequence[Any]) -> Iterator[Message | 
     """Yield the messages of `connections` in order of time, and a `Lost` in the place of each one that is damaged.
 
     In a ROS 1 bag a damaged record costs that record, or in a compressed chunk all of the chunk. In an MCAP file it
-    costs all of its chunk. It costs everything behind it if MCAP chunks overlap in time, and in other bags.
+    costs all of its chunk. It costs everything after it if MCAP chunks overlap in time, and in other bags.
     """
     place, delivered = _Place(0), 0
     while True:
@@ -60,21 +60,21 @@ def bag_messages(reader: Any, connections: Sequence[Any]) -> Iterator[Message | 
                 number, delivered = number + 1, delivered + 1
             return
         except Exception as error:  # on a damaged file rosbags raises whatever its parts raise
-            behind = _behind(reader, connections, number, delivered)
-            for lost in range(number, number + 1 if behind is None else behind.number):
-                yield Lost(lost, error, behind is None)
-        if behind is None or behind.time is None:
+            after = _after(reader, connections, number, delivered)
+            for lost in range(number, number + 1 if after is None else after.number):
+                yield Lost(lost, error, after is None)
+        if after is None or after.time is None:
             return
-        place = behind
+        place = after
 
 
-def _behind(reader: Any, connections: Sequence[Any], number: int, delivered: int) -> _Place | None:
+def _after(reader: Any, connections: Sequence[Any], number: int, delivered: int) -> _Place | None:
     """Where reading goes on if message `number` is damaged; None if the bag's index does not tell."""
     if len(reader.readers) != 1:
         return None
     bag = reader.readers[0]
     if hasattr(bag, "indexes"):
-        return _behind_record(bag, [bag.indexes[one.id] for one in connections], number, delivered)
+        return _after_record(bag, [bag.indexes[one.id] for one in connections], number, delivered)
     storage = getattr(bag, "storage", None)
     files = getattr(storage, "storages", [storage])  # of a bag's folder, or the one file
     if not all(hasattr(file, "chunks") for file in files):
@@ -85,10 +85,10 @@ def _behind(reader: Any, connections: Sequence[Any], number: int, delivered: int
         ours = [one.id for one in file.connections if (one.topic, one.msgtype) in topics]
         counted = [(chunk, sum(chunk.channel_count.get(one, 0) for one in ours)) for chunk in file.chunks]
         chunks += sorted((chunk.message_start_time, chunk.message_end_time, count) for chunk, count in counted if count)
-    return _behind_chunk(chunks, number)
+    return _after_chunk(chunks, number)
 
 
-def _behind_record(bag: Any, indexes: Sequence[list[Any]], number: int, delivered: int) -> _Place | None:
+def _after_record(bag: Any, indexes: Sequence[list[Any]], number: int, delivered: int) -> _Place | None:
     """The place of the next message of a ROS 1 bag; the damaged one is taken out of the bag's index.
 
     `rosbags` reads what the index lists; of what it has read before, `delivered` messages were whole.
@@ -106,7 +106,7 @@ def _behind_record(bag: Any, indexes: Sequence[list[Any]], number: int, delivere
     return _Place(number + 1, time, sum(entry.time == time for entry in entries[:delivered]))
 
 
-def _behind_chunk(chunks: Sequence[tuple[int, int, int]], number: int) -> _Place | None:
+def _after_chunk(chunks: Sequence[tuple[int, int, int]], number: int) -> _Place | None:
     """The place of the next chunk's first message, from each chunk's first and last time and number of messages.
 
     None if a time does not separate the chunks, in the order in which they are read.
@@ -117,10 +117,10 @@ def _behind_chunk(chunks: Sequence[tuple[int, int, int]], number: int) -> _Place
         return None
     if ends[damaged] - number > MOST_LOST:
         return None
-    behind = chunks[damaged + 1 :]
-    if not behind:
+    after = chunks[damaged + 1 :]
+    if not after:
         return _Place(ends[damaged])
-    time = behind[0][0]
-    if any(end >= time for _, end, _ in chunks[: damaged + 1]) or any(begin < time for begin, *_ in behind):
+    time = after[0][0]
+    if any(end >= time for _, end, _ in chunks[: damaged + 1]) or any(begin < time for begin, *_ in after):
         return None
     return _Place(ends[damaged], time)

@@ -57,7 +57,7 @@ def bag_records(path: str, topic: str | None = None, index: int | None = None) -
     """Yield the sonar images of a bag in order of time, or only image `index`; an unreadable image as its error.
 
     Without `topic`, the bag must have exactly one topic of sonar images. If the bag is damaged inside, an error is
-    yielded for each image that is lost, or one for all behind the damage (see `bag_messages`).
+    yielded for each image that is lost, or one for all after the damage (see `bag_messages`).
 
     Raises:
         SonarjaxError: The file is missing or not a bag, `rosbags` is not installed, or the topic or image does not

@@ -13,7 +13,7 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from sonarjax.io import Frame, SonarjaxError, bag_topics, describe, iter_records, read_frames, write_bag
-from sonarjax.io.bag_messages import _behind_chunk
+from sonarjax.io.bag_messages import _after_chunk
 
 TEXTS = {
     "PingInfo": "float32 frequency\nfloat32 sound_speed\nfloat32[] tx_beamwidths\nfloat32[] rx_beamwidths",
@@ -297,19 +297,20 @@ def test_a_damaged_record_of_an_mcap_file_costs_its_chunk(tmp_path):
     lost = range(first, first + second)
     assert read == [k for k in range(24) if k not in lost] and read[-1] == 23
     assert [error.partition(" here")[0] for error in errors] == [f"{path}:/sonar:{k}: the bag is damaged" for k in lost]
+    assert outcome(str(file))[0] == read  # without its folder
     assert outcome(f"{path}:/sonar:23") == ([23], [])
     assert outcome(f"{path}:/sonar:{first + 1}") == ([], [errors[1]])
 
 
 def test_chunks_are_skipped_only_where_a_time_separates_them():
-    assert _behind_chunk([(0, 9, 3), (10, 19, 4), (20, 29, 5)], 4) == (7, 20, 0)
-    assert _behind_chunk([(0, 10, 3), (10, 19, 4), (20, 29, 5), (29, 35, 1)], 4) == (7, 20, 0)
-    assert _behind_chunk([(0, 9, 3), (10, 19, 4)], 5) == (7, None, 0)
-    assert _behind_chunk([(0, 12, 3), (10, 19, 4), (20, 29, 5)], 4) is None
-    assert _behind_chunk([(0, 9, 3), (10, 20, 4), (20, 29, 5)], 4) is None
-    assert _behind_chunk([(10, 19, 4), (0, 9, 3)], 0) is None  # files that are listed out of order
-    assert _behind_chunk([(0, 9, 10**12), (10, 19, 4)], 0) is None  # an index that is damaged itself
-    assert _behind_chunk([], 0) is None
+    assert _after_chunk([(0, 9, 3), (10, 19, 4), (20, 29, 5)], 4) == (7, 20, 0)
+    assert _after_chunk([(0, 10, 3), (10, 19, 4), (20, 29, 5), (29, 35, 1)], 4) == (7, 20, 0)
+    assert _after_chunk([(0, 9, 3), (10, 19, 4)], 5) == (7, None, 0)
+    assert _after_chunk([(0, 12, 3), (10, 19, 4), (20, 29, 5)], 4) is None
+    assert _after_chunk([(0, 9, 3), (10, 20, 4), (20, 29, 5)], 4) is None
+    assert _after_chunk([(10, 19, 4), (0, 9, 3)], 0) is None  # files that are listed out of order
+    assert _after_chunk([(0, 9, 10**12), (10, 19, 4)], 0) is None  # an index that is damaged itself
+    assert _after_chunk([], 0) is None
 
 
 @pytest.mark.parametrize("name", ["out.bag", "out", "out.mcap"])
