@@ -26,6 +26,7 @@ from sonarjax.refine import (
     Start,
     YawEstimate,
     apart,
+    by_echoes,
     compared,
     curve_evidence,
     look_closely,
@@ -283,6 +284,8 @@ class Recognizer:
         self, look: Look, image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None, expected: Sequence[Pose]
     ) -> _Result:
         """Refine a target's hypotheses, and gather the evidence for the best one."""
+        if self.first_look is not None:
+            look = by_echoes(look, image, mask)
         starts = make_starts(*look, seen, image, self.search.hypotheses)
         if self.first_look is not None:  # a frame already takes long with many targets
             starts = apart(starts)

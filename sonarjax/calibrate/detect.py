@@ -59,7 +59,7 @@ def _detect(
     frame: Prepared, banks: TargetSearch, segmenter: Segmenter, window: WindowSize, engine: Engine
 ) -> Detection:
     in_map = locate(banks, frame.seen, frame.mask)
-    in_frame = None if segmenter.name == "none" else locate(banks, frame.image, frame.mask)
+    in_frame = None if segmenter.name == "none" else locate(banks, frame.image, frame.mask, "frame")
     starts = make_starts(in_map, in_frame, frame.seen, frame.image, banks.config.hypotheses)
     how = MAP_REFINEMENT, lambda _: window, engine
     best = refine_starts(starts, frame.image, frame.seen, frame.mask, *how)[0]

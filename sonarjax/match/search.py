@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import threading
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 import numpy as np
@@ -32,6 +32,8 @@ from sonarjax.render import (
 from sonarjax.scene import Mesh
 from sonarjax.sonar import Sonar
 
+Picture = Literal["map", "frame"]
+"""What is searched: a semantic map, with semantic templates, or a sonar's frame, with templates of its echoes."""
 MIN_VALID = 0.5
 """Least share of a template's pixels that were measured, where part of the frame is masked."""
 NOT_SEEN = "{}: at no distance inside the sonar's view is any part of it visible"
@@ -131,17 +133,19 @@ class TargetSearch:
         check_fits(mesh, sonar, name)
         self.mesh, self.sonar, self.config, self.name, self.engine = mesh, sonar, config, name, engine
         self.compact = compact
-        self._banks: dict[tuple[int, bool, bool], _Entry | None] = {}
+        self._banks: dict[tuple[int, bool, bool, Picture], _Entry | None] = {}
+        self._rendered: dict[tuple[int, bool], TemplateBank] = {}  # matched with maps and with frames, rendered once
         self._lock = threading.Lock()  # several frames may be searched at once: each bank is rendered by the first
         self.distances = _ground_ranges(sonar, config.range_step)
         self.size = _bank_window(mesh, sonar, float(self.distances[0]))
 
-    def find(self, image: np.ndarray, mask: np.ndarray | None = None) -> Match:
+    def find(self, image: np.ndarray, mask: np.ndarray | None = None, picture: Picture = "map") -> Match:
         """Find the best match over all distances: a coarse search, then banks near its best.
 
         Args:
             image: Frame or semantic map (range, beam).
             mask: True for the pixels that count (range, beam); None for all.
+            picture: What the image is, and so which templates it is matched with.
 
         Returns:
             The best match.
@@ -151,14 +155,16 @@ class TargetSearch:
         """
         every, masked = self.config.coarse_every, mask is not None
         small = decimated(image, self.config.decimation), self._small_mask(mask)
-        indices = [k for k in range(0, len(self.distances), every) if self._bank(k, True, masked) is not None]
+        indices = [k for k in range(0, len(self.distances), every) if self._bank(k, True, masked, picture) is not None]
         if not indices:
             raise SonarjaxError(NOT_SEEN.format(self.name))
-        found = self.engine.map(lambda k: self._match(k, True, *small), indices)
+        found = self.engine.map(lambda k: self._match(k, True, *small, picture), indices)
         first = max(found, key=lambda match: match.scores.max())
-        return self.find_near(self._nearest(first), image, mask)
+        return self.find_near(self.nearest(first), image, mask, picture)
 
-    def find_near(self, index: int, image: np.ndarray, mask: np.ndarray | None = None) -> Match:
+    def find_near(
+        self, index: int, image: np.ndarray, mask: np.ndarray | None = None, picture: Picture = "map"
+    ) -> Match:
         """Match the bank at one distance, then the bank nearest to where that one found the object.
 
         Args:
@@ -166,6 +172,7 @@ class TargetSearch:
                 which it is in view is taken instead.
             image: Frame or semantic map (range, beam).
             mask: True for the pixels that count (range, beam); None for all.
+            picture: What the image is, and so which templates it is matched with.
 
         Returns:
             The better of the two matches.
@@ -174,21 +181,21 @@ class TargetSearch:
             SonarjaxError: No part of the target can be seen at any distance.
         """
         masked = mask is not None
-        index = self._in_view(index, masked)
-        best = self._match(index, False, image, mask)
-        closer = self._in_view(self._nearest(best), masked)
+        index = self._in_view(index, masked, picture)
+        best = self._match(index, False, image, mask, picture)
+        closer = self._in_view(self.nearest(best), masked, picture)
         if closer == index:
             return best
-        again = self._match(closer, False, image, mask)
+        again = self._match(closer, False, image, mask, picture)
         return again if again.scores.max() > best.scores.max() else best
 
-    def _in_view(self, index: int, masked: bool) -> int:
+    def _in_view(self, index: int, masked: bool, picture: Picture) -> int:
         """The distance next to number `index` at which some of the object is in view.
 
         Raises SonarjaxError when there is none.
         """
         nearest_first = sorted(range(len(self.distances)), key=lambda k: abs(k - index))
-        found = next((k for k in nearest_first if self._bank(k, False, masked) is not None), None)
+        found = next((k for k in nearest_first if self._bank(k, False, masked, picture) is not None), None)
         if found is None:
             raise SonarjaxError(NOT_SEEN.format(self.name))
         return found
@@ -209,50 +216,70 @@ class TargetSearch:
         x, y = _floor_point(slant + match.rows * float(self.sonar.range_bin), found, self.sonar)
         return float(x), float(y)
 
-    def _bank(self, index: int, coarse: bool, masked: bool) -> _Entry | None:
+    def nearest(self, match: Match) -> int:
+        """Return the number of the distance that is nearest to a match's object.
+
+        Args:
+            match: A match that this search found.
+
+        Returns:
+            Its number in `distances`.
+        """
+        return int(np.argmin(np.abs(self.distances - math.hypot(*self.place(match)))))
+
+    def _bank(self, index: int, coarse: bool, masked: bool, picture: Picture) -> _Entry | None:
         """The bank at distance `index`, ready to be matched; None where the object is not in view there."""
-        key = (index, coarse, masked and not self.compact)
+        key = (index, coarse, masked and not self.compact, picture)
         with self._lock:
             if key not in self._banks:
-                self._banks[key] = self._render(float(self.distances[index]), coarse, masked)
+                self._banks[key] = self._prepared(index, coarse, masked, picture)
             found = self._banks[key]
             if self.compact and not coarse:
                 self._make_room(key)
         return found
 
-    def _make_room(self, latest: tuple[int, bool, bool]) -> None:
+    def _make_room(self, latest: tuple[int, bool, bool, Picture]) -> None:
         """Let go of the fine banks that were looked at longest ago: a catalogue's memory does not grow with frames."""
         self._banks[latest] = self._banks.pop(latest)  # the last of the dict
         fine = [key for key, entry in self._banks.items() if entry is not None and not key[1]]
         for key in fine[:-KEPT_COMPACT]:
             del self._banks[key]
 
-    def _render(self, distance: float, coarse: bool, masked: bool) -> _Entry | None:
+    def _prepared(self, index: int, coarse: bool, masked: bool, picture: Picture) -> _Entry | None:
+        config = self.config
+        try:
+            bank = self._render(index, coarse)
+        except OutOfViewError:
+            return None
+        drawn = bank.templates if picture == "map" else bank.echoes
+        assert drawn is not None
+        if self.compact and not coarse:
+            nothing = drawn[:, :0, :0]
+            return _Entry(replace(bank, templates=nothing, echoes=nothing), CompactBank.of(np.asarray(drawn)))
+        if not coarse:
+            return _Entry(bank, prepare_bank(drawn, self.sonar.shape, masked=masked))
+        frame = self.sonar.n_ranges // config.decimation, self.sonar.n_beams
+        templates = rounded_up(decimated(np.asarray(drawn), config.decimation), frame)
+        return _Entry(bank, prepare_bank(templates, frame, masked=masked))
+
+    def _render(self, index: int, coarse: bool) -> TemplateBank:
+        """The bank at distance `index`, rendered once but for catalogues. Raises OutOfViewError."""
+        if (index, coarse) in self._rendered:
+            return self._rendered[index, coarse]
         config = self.config
         every = max(config.yaw_bins // config.coarse_yaws, 1) if coarse else 1
         yaws = np.arange(0, config.yaw_bins, every) * (2 * math.pi / config.yaw_bins)
-        try:
-            x, y = mid_fan(self.sonar, distance)
-            bank = template_bank(
-                self.mesh, self.sonar, yaws, x=x, y=y, size=self.size, quality=config.quality, engine=self.engine
-            )
-            if self.compact and not coarse:
-                small = CompactBank.of(np.asarray(bank.templates))
-                return _Entry(replace(bank, templates=bank.templates[:, :0, :0]), small)
-            if not coarse:
-                return _Entry(bank, prepare_bank(bank, self.sonar.shape, masked=masked))
-            frame = self.sonar.n_ranges // config.decimation, self.sonar.n_beams
-            templates = rounded_up(decimated(np.asarray(bank.templates), config.decimation), frame)
-            return _Entry(bank, prepare_bank(templates, frame, masked=masked))
-        except OutOfViewError:
-            return None
+        x, y = mid_fan(self.sonar, float(self.distances[index]))
+        bank = template_bank(
+            self.mesh, self.sonar, yaws, x=x, y=y, size=self.size, quality=config.quality, engine=self.engine
+        )
+        if not self.compact:
+            self._rendered[index, coarse] = bank
+        return bank
 
-    def _nearest(self, match: Match) -> int:
-        return int(np.argmin(np.abs(self.distances - math.hypot(*self.place(match)))))
-
-    def _match(self, index: int, coarse: bool, image: np.ndarray, mask: np.ndarray | None) -> Match:
+    def _match(self, index: int, coarse: bool, image: np.ndarray, mask: np.ndarray | None, picture: Picture) -> Match:
         """The best place for each template of a bank in which something is in view."""
-        entry = self._bank(index, coarse, mask is not None)
+        entry = self._bank(index, coarse, mask is not None, picture)
         assert entry is not None
         if isinstance(entry.prepared, CompactBank) and mask is None:
             found = match_compact(image, entry.prepared)

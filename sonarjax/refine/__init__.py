@@ -1,6 +1,15 @@
 """Refine the pose continuously: objective, solver, error bars and implicit derivative (not in the paper)."""
 
-from sonarjax.refine.candidates import COMPARISON, Look, apart, compared, look_closely, plan_shared, quick_evidence
+from sonarjax.refine.candidates import (
+    COMPARISON,
+    Look,
+    apart,
+    by_echoes,
+    compared,
+    look_closely,
+    plan_shared,
+    quick_evidence,
+)
 from sonarjax.refine.config import RefineConfig
 from sonarjax.refine.errorbar import ERROR_BAR, POSE_ERROR_BAR, ErrorBar, PoseErrorBar
 from sonarjax.refine.evidence import Evidence, gather_evidence
@@ -36,7 +45,7 @@ __all__ = [
     "COMPARISON", "ERROR_BAR", "FRAME_BLURS", "MAP_REFINEMENT", "MAP_SHARE", "POSE_ERROR_BAR", "SAME_YAW",
     "YAW_WEIGHTS", "Candidate", "Drawn", "ErrorBar", "Evidence", "Look", "PoseErrorBar", "PoseEstimate", "PoseFinder",
     "RefineConfig", "RefinedStart", "Start", "YawEstimate", "YawInterval", "YawMode", "YawSet", "YawWeights", "apart",
-    "compared", "curve_evidence", "gather_evidence", "in_common", "in_view", "locate", "look_closely", "make_starts",
-    "make_yaw_set", "merged", "on_frame", "peak_bins", "plan_refinement", "plan_shared", "prepare_refinement",
-    "quick_evidence", "refine_pose", "refine_starts", "refine_yaw", "shares",
+    "by_echoes", "compared", "curve_evidence", "gather_evidence", "in_common", "in_view", "locate", "look_closely",
+    "make_starts", "make_yaw_set", "merged", "on_frame", "peak_bins", "plan_refinement", "plan_shared",
+    "prepare_refinement", "quick_evidence", "refine_pose", "refine_starts", "refine_yaw", "shares",
 ]  # fmt: skip

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sonarjax.engine import Engine
-from sonarjax.match import FirstLook, SearchConfig, TargetSearch, leading
+from sonarjax.match import FirstLook, Picture, SearchConfig, TargetSearch, leading
 from sonarjax.refine.config import RefineConfig
 from sonarjax.refine.pose import plan_refinement
 from sonarjax.refine.starts import Candidate, Start, curve_evidence, evidence_of, locate, make_starts, on_frame
@@ -78,10 +78,31 @@ def look_closely(
         names = leading(found, config)
         near = [{name: sightings[name].distance_index for name in names} for sightings in found]
 
+    # Several targets are compared by their semantic templates in both pictures, as the first look does.
+    kinds: tuple[Picture, ...] = ("map", "frame" if first_look is None else "map")
+
     def look(name: str) -> Look:
-        return Look(*(locate(targets[name], p, mask, at[name]) for p, at in zip(pictures, near, strict=True)))
+        each = zip(pictures, kinds, near, strict=False)
+        return Look(*(locate(targets[name], image, mask, kind, at[name]) for image, kind, at in each))
 
     return sorted(engine.map(look, names), key=lambda one: -one.in_map.score)
+
+
+def by_echoes(look: Look, image: np.ndarray, mask: np.ndarray | None) -> Look:
+    """Match one of several targets with the frame again, with templates of its echoes, near where it was found.
+
+    Args:
+        look: The target's best matches.
+        image: The frame (range, beam).
+        mask: True where a pixel was measured (range, beam); None means everywhere.
+
+    Returns:
+        The look with the new match in the frame, or as it is without a match there.
+    """
+    if look.in_frame is None:
+        return look
+    search = look.in_frame.search
+    return look._replace(in_frame=locate(search, image, mask, "frame", search.nearest(look.in_frame.match)))
 
 
 def plan_shared(mesh: Mesh, sonar: Sonar, at: Pose, config: RefineConfig) -> WindowSize:

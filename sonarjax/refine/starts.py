@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sonarjax.engine import Engine
-from sonarjax.match import Match, TargetSearch, between_bins, peaks
+from sonarjax.match import Match, Picture, TargetSearch, between_bins, peaks
 from sonarjax.refine.config import RefineConfig
 from sonarjax.refine.evidence import Evidence, gather_evidence
 from sonarjax.refine.pose import Drawn
@@ -95,13 +95,16 @@ class Start(NamedTuple):
         return self.candidate.between_bins(self.bin) if self.pose is None else self.pose
 
 
-def locate(search: TargetSearch, picture: np.ndarray, mask: np.ndarray | None, near: int | None = None) -> Candidate:
+def locate(
+    search: TargetSearch, image: np.ndarray, mask: np.ndarray | None, picture: Picture = "map", near: int | None = None
+) -> Candidate:
     """Find the target's best match in a map or a frame.
 
     Args:
         search: The target.
-        picture: The map or frame (range, beam).
+        image: The map or frame (range, beam).
         mask: True where a pixel was measured (range, beam); None means everywhere.
+        picture: Which of the two it is.
         near: Index of the distance near which to search; None searches all distances.
 
     Returns:
@@ -110,8 +113,8 @@ def locate(search: TargetSearch, picture: np.ndarray, mask: np.ndarray | None, n
     Raises:
         SonarjaxError: No part of the target can be seen at any distance (as `TargetSearch.find`).
     """
-    picture = np.asarray(picture, np.float32)
-    match = search.find(picture, mask) if near is None else search.find_near(near, picture, mask)
+    image = np.asarray(image, np.float32)
+    match = search.find(image, mask, picture) if near is None else search.find_near(near, image, mask, picture)
     return Candidate(search, match, *search.place(match))
 
 

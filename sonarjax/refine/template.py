@@ -22,7 +22,7 @@ from jaxtyping import Array, Float, Int
 from sonarjax.exact import full_precision
 from sonarjax.records import record, static
 from sonarjax.refine.free import FLOOR_PATHS, ON_FLOOR, pose_at
-from sonarjax.render import RenderQuality, Window, floor_angle, render_echo, semantic_image
+from sonarjax.render import EchoLaw, RenderQuality, Window, render_echo, semantic_image, stored_echo
 from sonarjax.scene import Mesh, Pose
 from sonarjax.sensor import SensorModel
 from sonarjax.sensor.multipath import bounce_mesh, without_floor
@@ -40,18 +40,6 @@ POSE = len(ON_FLOOR)
 BACKGROUND = 0.5  # grey of the semantic map's background
 GAINS_DB, NOISES, EXPONENTS = (2.0, 8.0, 14.0), (0.03, 0.2), (0.06, 0.25, 0.5)
 """Gains [dB], noises and exponents of the echo law, tried in all combinations."""
-
-
-@record
-class EchoLaw:
-    """How a device stores an echo: what decides its brightness relative to floor and shadow."""
-
-    gain: Float[Array, "*batch"]
-    """Ratio of the object's backscatter to the floor's [1]."""
-    noise: Float[Array, "*batch"]
-    """Ratio of the energy in a shadow to the floor's [1]."""
-    exponent: Float[Array, "*batch"]
-    """Power of energy that is stored [1]; a small power stands for a logarithm."""
 
 
 def echo_laws() -> EchoLaw:
@@ -208,5 +196,4 @@ def _stored_echo(subject: Subject, echo: Array, shadow: Array) -> Array:
     """What a device stores of an echo [rad] over the floor outside the shadow (range, beam)."""
     window, sonar, law = subject.window, subject.sonar, subject.law
     ranges = jax.lax.dynamic_slice(range_middles(sonar), (window.row,), window.shape[:1])
-    energy = law.gain * echo / floor_angle(ranges, sonar)[:, None]
-    return (energy + 1 - shadow + law.noise) ** law.exponent - (1 + law.noise) ** law.exponent
+    return stored_echo(echo, shadow, ranges, sonar, law)

@@ -34,7 +34,7 @@ def brick() -> TargetSearch:
 @pytest.mark.parametrize(
     ("module", "look"),
     [
-        (search, lambda: brick()._render(2.5, False, False)),
+        (search, lambda: brick()._prepared(0, False, False, "map")),
         (first_look, lambda: FirstLook([brick()])._view(brick(), 2.5)),
     ],
 )
