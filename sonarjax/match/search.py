@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import threading
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import numpy as np
@@ -18,6 +18,7 @@ from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import OutOfViewError, SonarjaxError
 from sonarjax.io.given import check_whole, is_number, shown
 from sonarjax.match.compact import CompactBank, match_compact
+from sonarjax.match.echoes import echo_templates
 from sonarjax.match.ncc import PreparedBank, match_positions, prepare_bank
 from sonarjax.render import (
     RenderQuality,
@@ -251,11 +252,11 @@ class TargetSearch:
             bank = self._render(index, coarse)
         except OutOfViewError:
             return None
-        drawn = bank.templates if picture == "map" else bank.echoes
-        assert drawn is not None
+        drawn: Any = bank.templates
+        if picture == "frame":
+            drawn = echo_templates(bank, self.mesh, self.sonar, self.size, config.quality, self.engine)
         if self.compact and not coarse:
-            nothing = drawn[:, :0, :0]
-            return _Entry(replace(bank, templates=nothing, echoes=nothing), CompactBank.of(np.asarray(drawn)))
+            return _Entry(replace(bank, templates=bank.templates[:, :0, :0]), CompactBank.of(np.asarray(drawn)))
         if not coarse:
             return _Entry(bank, prepare_bank(drawn, self.sonar.shape, masked=masked))
         frame = self.sonar.n_ranges // config.decimation, self.sonar.n_beams

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.given import shown
 from sonarjax.scene import Pose
+from sonarjax.sensor import FLOOR_PATHS
 
 
 class Number(NamedTuple):
@@ -38,10 +39,9 @@ ON_FLOOR = ("yaw", "x", "y")
 """The numbers that are free for an object standing on the floor, as in `refine_yaw`."""
 ALL = tuple(NUMBERS)
 """All six numbers."""
-FLOOR_PATHS = 0.5, 1.0
-"""Of echoes that bounce on the floor on one way, and on both: as `floor_path` of `sensor.SensorModel` [1]."""
 BOUNCES = (Number(0.2, 2e-2, "1"),) * len(FLOOR_PATHS)
-"""The energies left of these echoes. They are fitted together with the pose, and follow its numbers in a step."""
+"""The energies left of echoes by way of the floor (`FLOOR_PATHS`). They are fitted together with the pose, and follow
+its numbers in a step."""
 
 
 def check_free(free: Sequence[str]) -> tuple[str, ...]:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import Any, Literal
 
@@ -21,12 +20,10 @@ from jaxtyping import Array, Float, Int
 
 from sonarjax.exact import full_precision
 from sonarjax.records import record, static
-from sonarjax.refine.free import FLOOR_PATHS, ON_FLOOR, pose_at
-from sonarjax.render import EchoLaw, RenderQuality, Window, render_echo, semantic_image, stored_echo
+from sonarjax.refine.free import ON_FLOOR, pose_at
+from sonarjax.render import RenderQuality, Window, semantic_image
 from sonarjax.scene import Mesh, Pose
-from sonarjax.sensor import SensorModel
-from sonarjax.sensor.multipath import bounce_mesh, without_floor
-from sonarjax.sensor.propagation import range_middles
+from sonarjax.sensor import FLOOR_PATHS, EchoLaw, SensorModel, render_paths, stored_echo
 from sonarjax.sonar import Sonar
 
 Template = Literal["semantic", "echo", "either"]
@@ -141,25 +138,9 @@ def render_layers(
     There is one mirror image for each of `floor_paths` [1], which are as in `sensor.SensorModel`. They are left dark if
     the template takes only one view. `reverse` is as in `draw`.
     """
-    views = _views(subject, pose_at(subject.start, step, subject.free), floor_paths)
-    count = 1 + len(floor_paths)
-
-    def seen(view: Any, shares: Any) -> Array:
-        vertices, faces, lift, height, aperture = view
-        placed = replace(subject.mesh, vertices=vertices, faces=faces)
-        lifted = subject.sonar.replace(height=height, elevation_aperture=aperture)
-        place = Pose(z=lift), lifted, subject.window, subject.quality
-        return jnp.stack(render_echo(placed, *place, subject.views > 1, shares))
-
-    def add(k: Any, done: Array) -> Array:
-        return done.at[k].set(seen(jax.tree.map(lambda v: v[k], views), k == 0))
-
-    # Views are rendered one after the other, so that the renderer is compiled once. The mirror images' shares of pixels
-    # are not used.
-    if reverse:
-        return jax.lax.map(lambda numbered: seen(*numbered), (views, jnp.arange(count) == 0))
-    nothing = jnp.zeros((count, 3, *subject.window.shape))
-    return jax.lax.fori_loop(0, jnp.minimum(subject.views, count), add, nothing)
+    pose = pose_at(subject.start, step, subject.free)
+    where = subject.sonar, subject.window, subject.quality
+    return render_paths(subject.mesh, pose, *where, subject.views, floor_paths, reverse)
 
 
 @full_precision
@@ -170,30 +151,11 @@ def paint(
     echo, highlight, shadow = layers[0]
     bounced = jnp.einsum("v,vrb->rb", bounces, layers[1:, 0])
     grey = semantic_image(*(labelled(v, subject.sharpness) for v in (highlight, shadow))) - BACKGROUND
-    return jnp.where(subject.views > 1, _stored_echo(subject, echo + bounced, shadow), grey)
+    stored = stored_echo(echo + bounced, shadow, subject.sonar, subject.window, subject.law)
+    return jnp.where(subject.views > 1, stored, grey)
 
 
 def semantic_template(layers: Float[Array, "view layer range beam"]) -> Float[Array, "range beam"]:
     """The semantic map from the layers of `render_layers`, minus the background's 0.5; not sharpened."""
     _, highlight, shadow = layers[0]
     return semantic_image(highlight, shadow) - BACKGROUND
-
-
-def _views(subject: Subject, pose: Pose, floor_paths: Sequence[Any]) -> tuple[Array, ...]:
-    """The object as it stands, and its mirror images: vertices, faces, lift [m], sonar height [m] and aperture."""
-    mesh, sonar = subject.mesh, subject.sonar
-    as_it_is = pose.to_ground(mesh.vertices), mesh.faces, 0.0, sonar.height, sonar.elevation_aperture
-
-    def mirrored(path: Any) -> tuple[Any, ...]:
-        image, lift, lifted = without_floor(bounce_mesh(mesh, pose, sonar, 0.0, path), sonar)
-        return image.vertices, image.faces, lift.z, lifted.height, lifted.elevation_aperture
-
-    views = as_it_is, *(mirrored(path) for path in floor_paths)
-    return tuple(jnp.stack([jnp.asarray(v) for v in each]) for each in zip(*views, strict=True))
-
-
-def _stored_echo(subject: Subject, echo: Array, shadow: Array) -> Array:
-    """What a device stores of an echo [rad] over the floor outside the shadow (range, beam)."""
-    window, sonar, law = subject.window, subject.sonar, subject.law
-    ranges = jax.lax.dynamic_slice(range_middles(sonar), (window.row,), window.shape[:1])
-    return stored_echo(echo, shadow, ranges, sonar, law)

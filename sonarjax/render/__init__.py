@@ -1,7 +1,6 @@
 """The simulator: what each azimuth slice sees, range bins, frames and the template bank (§2.1, eq. 1–2)."""
 
 from sonarjax.render.bank import TemplateBank, bank_place, template_bank
-from sonarjax.render.echo_law import EchoLaw, stored_echo
 from sonarjax.render.energy import floor_angle
 from sonarjax.render.fine import mesh_tolerance, reduced_for
 from sonarjax.render.fits import check_fits
@@ -13,8 +12,8 @@ from sonarjax.render.unseen import why_unseen
 from sonarjax.render.window import render_echo, render_window
 
 __all__ = [
-    "EchoLaw", "RenderQuality", "SonarFrame", "TemplateBank", "Window", "WindowSize", "bank_place", "check_fits",
-    "floor_angle", "floor_point", "image_azimuth", "mesh_tolerance", "place_window", "plan_window", "reduced_for",
-    "render", "render_echo", "render_window", "semantic_image", "stored_echo", "template_bank", "why_unseen",
+    "RenderQuality", "SonarFrame", "TemplateBank", "Window", "WindowSize", "bank_place", "check_fits", "floor_angle",
+    "floor_point", "image_azimuth", "mesh_tolerance", "place_window", "plan_window", "reduced_for", "render",
+    "render_echo", "render_window", "semantic_image", "template_bank", "why_unseen",
     "write_frame",
 ]  # fmt: skip

@@ -15,8 +15,7 @@ from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import OutOfViewError, SonarjaxError
 from sonarjax.io.given import check_kind, is_number, is_whole, number_array, shown
 from sonarjax.records import record
-from sonarjax.render.echo_law import EchoLaw, stored_echo
-from sonarjax.render.frame import RenderQuality, semantic_image
+from sonarjax.render.frame import RenderQuality
 from sonarjax.render.region import (
     MARGIN_BEAMS,
     MARGIN_BINS,
@@ -28,7 +27,7 @@ from sonarjax.render.region import (
 )
 from sonarjax.render.simulate import check_sonar_alone, one_by_one, with_enough_room
 from sonarjax.render.visibility import EXACT_LIMIT
-from sonarjax.render.window import render_template
+from sonarjax.render.window import render_window
 from sonarjax.scene import Mesh, Pose
 from sonarjax.scene.mesh import check_reflectivity
 from sonarjax.sonar import Sonar
@@ -39,8 +38,6 @@ VIEWS, FEW_VIEWS = 18, 9  # templates that one call of the compiled function ren
 VMAPPED = 36  # the same on an accelerator, where they are rendered at once
 ROUGH = 16  # with this many times more sharp edges than slabs may end at, few slabs would end at the right ones
 TOUCHED = 0.01  # a pixel belongs to the object when its semantic value is this far from the background's
-SMALLEST = 1e-6  # what an echo differs from the floor by at least, where it is scaled
-GAIN_DB, NOISE, EXPONENT = 8.0, 0.1, 0.25  # the echo law of the bank: about the middle of those that devices have
 
 
 @record
@@ -59,10 +56,6 @@ class TemplateBank:
     """Position to port of the object [m]."""
     tilt: Float[Array, "*batch"]
     """Tilt of the sonar for which the bank was rendered [rad]."""
-    echoes: Float[Array, "*batch yaw h w"] | None = None
-    """The same views as a device would store them (yaw, range, beam), 0.5 for bare floor, scaled into [0, 1] together.
-
-    They are matched with frames, the templates with semantic maps. None if the bank has templates only."""
 
     @property
     def bearing(self) -> Float[Array, "*batch"]:
@@ -124,25 +117,24 @@ def template_bank(
     if yaws.ndim != 1 or yaws.size == 0 or not np.isfinite(yaws).all():
         raise SonarjaxError(f"yaws: expected a non-empty list of finite angles [rad], got shape {yaws.shape}")
     attitudes = _attitudes(yaws, {"z": z, "roll": roll, "pitch": pitch})
-    room = _quick(leaning_room(mesh, attitudes[:, 1].max(), *np.abs(attitudes[:, 2:]).max(axis=0)))
+    room = quick(leaning_room(mesh, attitudes[:, 1].max(), *np.abs(attitudes[:, 2:]).max(axis=0)))
     planned = plan_window(room, sonar, float(np.hypot(x, y)), row_step=ROW_STEP if size is None else 1)
     size = size or planned
     if not size.holds(planned):
         raise SonarjaxError(f"size: expected one that holds {planned}, what this place needs, got {size}")
     place = np.float32(x), np.float32(y)
     views = _all_views(room, sonar, attitudes, place, size, quality, engine)
-    images, echoes, (row, column) = views.images, views.echoes, views.corner
+    images, (row, column) = views.images, views.corner
     box = _touched_box(images)
     if box is None:
         raise OutOfViewError(f"template bank: an object at x {x:.2f} m, y {y:.2f} m is outside the sonar's view")
     first, last = box
     top, left = max(first[0] - margin[0], 0), max(first[1] - margin[1], 0)
     bottom, right = min(last[0] + margin[0], size.shape[0] - 1), min(last[1] + margin[1], size.shape[1] - 1)
-    crop, echo = (v[:, top : bottom + 1, left : right + 1] for v in (images, echoes))
-    echo = 0.5 + echo * np.float32(0.5 / max(np.abs(echo).max(), SMALLEST))
+    crop = images[:, top : bottom + 1, left : right + 1]
     offset = np.array([row + top, column + left], np.int32)
     # `device_put` compiles nothing; `jnp.asarray` would compile a copy for every shape.
-    return TemplateBank(*(jax.device_put(v) for v in (crop, yaws, offset, *place, np.float32(sonar.tilt), echo)))
+    return TemplateBank(*(jax.device_put(v) for v in (crop, yaws, offset, *place, np.float32(sonar.tilt))))
 
 
 def _check_given(mesh: Mesh, sonar: Sonar, quality: RenderQuality, margin: Any, place: dict[str, Any]) -> None:
@@ -158,7 +150,7 @@ def _check_given(mesh: Mesh, sonar: Sonar, quality: RenderQuality, margin: Any, 
             raise SonarjaxError(f"{name}: expected a finite number of metres, got {shown(value)}")
 
 
-def _quick(mesh: Mesh) -> Mesh:
+def quick(mesh: Mesh) -> Mesh:
     """The mesh without slabs that end at its sharp edges, if it has too many of these and of triangles.
 
     Slabs at a few of thousands of edges make no view of a rough body exact, and a bank is never differentiated. It
@@ -181,8 +173,6 @@ class BankViews(NamedTuple):
 
     images: Any
     """Semantic maps (yaw, range, beam) of one window."""
-    echoes: Any
-    """The same views as a device stores them, less the grey of the floor."""
     corner: Any
     """Row and column of the window's first pixel."""
     overflow: Any
@@ -210,12 +200,9 @@ def _all_views(
         found = engine.map(
             lambda part: engine.run(_render_views, mesh, sonar, part, *place, size=size, quality=quality), padded
         )
-        images, echoes = (
-            np.concatenate([np.asarray(view) for view in views])[: len(attitudes)]
-            for views in zip(*((part.images, part.echoes) for part in found), strict=True)
-        )
+        images = np.concatenate([np.asarray(part.images) for part in found])[: len(attitudes)]
         row, column = (int(v) for v in found[0].corner)
-        return BankViews(images, echoes, (row, column), np.max([part.overflow for part in found]))
+        return BankViews(images, (row, column), np.max([part.overflow for part in found]))
 
     return with_enough_room(render_part, mesh)
 
@@ -235,16 +222,13 @@ def _render_views(
     mesh: Mesh, sonar: Sonar, attitudes: Array, x: Any, y: Any, *, size: WindowSize, quality: RenderQuality
 ) -> BankViews:
     window = place_window(size, mesh, sonar, x, y)
-    ranges = sonar.range_min + sonar.range_bin * (window.row + jnp.arange(size.shape[0]) + 0.5)
-    law = EchoLaw(*(jnp.float32(v) for v in (10 ** (GAIN_DB / 10), NOISE, EXPONENT)))
 
-    def one(attitude: Array) -> tuple[Array, Array, Array]:
-        layers, overflow = render_template(mesh, Pose(x, y, *attitude), sonar, window, quality)
-        echo = stored_echo(layers.echo, layers.shadow, ranges, sonar, law)
-        return semantic_image(layers.highlight, layers.shadow), echo, overflow
+    def one(attitude: Array) -> tuple[Array, Array]:
+        frame = render_window(mesh, Pose(x, y, *attitude), sonar, window, quality)
+        return frame.semantic(), frame.overflow
 
-    images, echoes, overflow = one_by_one(one, jnp.asarray(attitudes))
-    return BankViews(images, echoes, (window.row, window.column), overflow.max())
+    images, overflow = one_by_one(one, jnp.asarray(attitudes))
+    return BankViews(images, (window.row, window.column), overflow.max())
 
 
 def _touched_box(images: np.ndarray) -> tuple[tuple[int, int], tuple[int, int]] | None:

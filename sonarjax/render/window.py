@@ -282,20 +282,7 @@ def render_echo(
         Layers of the window, each (range, beam): `echo` [rad], `highlight` and `shadow` [1].
     """
     seen = _look(mesh, None, pose, sonar, window, quality, jnp.asarray(by_facet))
-    return _echo_layers(seen, window.shape[0], shares)
-
-
-def render_template(
-    mesh: Mesh, pose: Pose, sonar: Sonar, window: Window, quality: RenderQuality
-) -> tuple[EchoLayers, Int[Array, ""]]:
-    """As `render_echo` with smooth chains of facets as one, and `overflow` as in `SonarFrame`."""
-    seen = _look(mesh, None, pose, sonar, window, quality)
-    return _echo_layers(seen, window.shape[0], True), seen.visible.overflow
-
-
-def _echo_layers(seen: _Seen, rows: int, shares: Bool[Array, ""] | bool) -> EchoLayers:
-    """As `render_echo`, of what is visible in a window of so many range bins."""
-    spans, shown, pixels = seen.visible.spans, seen.echo_spans, (seen.slabs.weights, rows)
+    spans, shown, pixels = seen.visible.spans, seen.echo_spans, (seen.slabs.weights, window.shape[0])
     length = stop_gradient(shown[0][:, 1] - shown[0][:, 0])
     density = jnp.where(spans.echo_spans, spans.angle * spans.kept / jnp.maximum(length, 1.0), 0.0)
     highlighted = spans.echo_spans & (spans.kept >= 0.5)
@@ -308,7 +295,7 @@ def _echo_layers(seen: _Seen, rows: int, shares: Bool[Array, ""] | bool) -> Echo
         echo = spread(*shown, *pixels, density)
         return EchoLayers(echo, jnp.zeros_like(echo), jnp.zeros_like(echo))
 
-    return all_three() if shares is True else jax.lax.cond(jnp.asarray(shares), all_three, echo_alone)
+    return jax.lax.cond(jnp.asarray(shares), all_three, echo_alone)
 
 
 def _slabs_of(mesh: Mesh, scene: Scene, sonar: Sonar, window: Window, sub_beams: int) -> Slabs:
