@@ -4,7 +4,8 @@ python -m experiments.outside [--external DIR] [--tank DIR] [--preset smoke] [--
 
 The judge (`experiments.judge`) is a ray caster on Embree and a sensor model that import nothing from the package's
 renderer or sensor. The folders of another simulator's frames and of the tank are not part of the project; what is not
-given is left out. No threshold, setting or network was chosen on any of these frames: docs/outside.md logs every run.
+given is left out. No threshold, setting or network was chosen on any of these frames, with two exceptions that
+docs/outside.md names; it logs every run.
 
 `right` is a target that is identified with its yaw within 5°, or another object that is refused.
 """
