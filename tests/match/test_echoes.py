@@ -42,7 +42,7 @@ def test_they_lie_in_the_box_of_the_bank_with_the_floor_at_one_half() -> None:
 
 def test_the_darkest_shadow_is_that_of_the_echo_law() -> None:
     """Full shadow without an echo leaves the noise alone; the scale is one for all views of a bank."""
-    bank, echoes = drawn(sj.objects.brick())
+    _, echoes = drawn(sj.objects.brick())
     dark = NOISE**EXPONENT - (1 + NOISE) ** EXPONENT
     assert echoes.max() == pytest.approx(1.0)  # an echo differs more from the floor than a shadow does
     energy = (dark / (echoes.min() - 0.5) * 0.5 + (1 + NOISE) ** EXPONENT) ** (1 / EXPONENT) - 1 - NOISE
