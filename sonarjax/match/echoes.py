@@ -1,4 +1,4 @@
-"""Templates of echoes: the views of a bank as a device would store them, to be matched with frames.
+"""Echo templates: the views of a bank as a device would store them, to be matched with frames.
 
 A semantic template fits a map. In a frame an object's faces are not equally bright, echoes by way of the floor lie in
 its shadow, and all of it depends on how the device stores an echo. One law for all devices is enough to find the yaw

@@ -34,7 +34,7 @@ from sonarjax.scene import Mesh
 from sonarjax.sonar import Sonar
 
 Picture = Literal["map", "frame"]
-"""What is searched: a semantic map, with semantic templates, or a sonar's frame, with templates of its echoes."""
+"""What is searched: a semantic map, with semantic templates, or a sonar's frame, with echo templates."""
 MIN_VALID = 0.5
 """Least share of a template's pixels that were measured, where part of the frame is masked."""
 NOT_SEEN = "{}: at no distance inside the sonar's view is any part of it visible"

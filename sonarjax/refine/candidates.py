@@ -89,7 +89,7 @@ def look_closely(
 
 
 def by_echoes(look: Look, image: np.ndarray, mask: np.ndarray | None) -> Look:
-    """Match one of several targets with the frame again, with templates of its echoes, near where it was found.
+    """Match one of several targets with the frame again, with echo templates, near where it was found.
 
     Args:
         look: The target's best matches.

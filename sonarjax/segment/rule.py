@@ -19,7 +19,7 @@ EVIDENCE = (
 """What a rule may weigh: the fields of `refine.Evidence`, then three numbers from the score curves over yaw.
 
 `map_rise` is the score of the best yaw bin on the semantic map minus that of the fourth best (its neighbours share its
-peak). `frame_rise` is the same for templates of echoes on the frame itself, and `frame_peak` is the best bin's score
+peak). `frame_rise` is the same for echo templates on the frame itself, and `frame_peak` is the best bin's score
 there.
 """
 

@@ -1,4 +1,4 @@
-"""Templates of echoes: their box, their greys against the closed form, and what they find in a simulated frame."""
+"""Echo templates: their box, their greys against the closed form, and what they find in a simulated frame."""
 
 from __future__ import annotations
 
