@@ -17,7 +17,7 @@ from sonarjax.match.ncc import (
     match_positions,
     prepare_bank,
 )
-from sonarjax.match.search import Match, Picture, SearchConfig, TargetSearch
+from sonarjax.match.search import Match, SearchConfig, TargetSearch
 from sonarjax.match.spectra import TemplateSpectra, template_spectra
 
 __all__ = [
@@ -30,7 +30,6 @@ __all__ = [
     "Match",
     "MatchPositions",
     "Peaks",
-    "Picture",
     "PreparedBank",
     "SearchConfig",
     "Sighting",

@@ -19,7 +19,8 @@ from sonarjax.render import RenderQuality, TemplateBank, WindowSize, place_windo
 from sonarjax.render.bank import quick
 from sonarjax.render.simulate import one_by_one
 from sonarjax.scene import Mesh, Pose
-from sonarjax.sensor import FLOOR_PATHS, EchoLaw, render_paths, stored_echo
+from sonarjax.sensor import EchoLaw, render_paths, stored_echo
+from sonarjax.sensor.echoes import FLOOR_PATHS
 from sonarjax.sonar import Sonar
 
 GAIN_DB, NOISE, EXPONENT = 8.0, 0.1, 0.25

@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sonarjax.engine import Engine
-from sonarjax.match import FirstLook, Picture, SearchConfig, TargetSearch, leading
+from sonarjax.match import FirstLook, SearchConfig, TargetSearch, leading
+from sonarjax.match.search import Picture
 from sonarjax.refine.config import RefineConfig
 from sonarjax.refine.pose import plan_refinement
 from sonarjax.refine.starts import Candidate, Start, curve_evidence, evidence_of, locate, make_starts, on_frame

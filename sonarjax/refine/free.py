@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.given import shown
 from sonarjax.scene import Pose
-from sonarjax.sensor import FLOOR_PATHS
+from sonarjax.sensor.echoes import FLOOR_PATHS
 
 
 class Number(NamedTuple):

@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sonarjax.engine import Engine
-from sonarjax.match import Match, Picture, TargetSearch, between_bins, peaks
+from sonarjax.match import Match, TargetSearch, between_bins, peaks
+from sonarjax.match.search import Picture
 from sonarjax.refine.config import RefineConfig
 from sonarjax.refine.evidence import Evidence, gather_evidence
 from sonarjax.refine.pose import Drawn

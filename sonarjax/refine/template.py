@@ -23,7 +23,8 @@ from sonarjax.records import record, static
 from sonarjax.refine.free import ON_FLOOR, pose_at
 from sonarjax.render import RenderQuality, Window, semantic_image
 from sonarjax.scene import Mesh, Pose
-from sonarjax.sensor import FLOOR_PATHS, EchoLaw, SensorModel, render_paths, stored_echo
+from sonarjax.sensor import EchoLaw, SensorModel, render_paths, stored_echo
+from sonarjax.sensor.echoes import FLOOR_PATHS
 from sonarjax.sonar import Sonar
 
 Template = Literal["semantic", "echo", "either"]

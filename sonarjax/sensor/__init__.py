@@ -17,7 +17,7 @@ from sonarjax.sensor.beams import (
 )
 from sonarjax.sensor.bottom import ripple_brightness, slow_brightness
 from sonarjax.sensor.display import compress, quantise
-from sonarjax.sensor.echoes import FLOOR_PATHS, EchoLaw, render_paths, stored_echo
+from sonarjax.sensor.echoes import EchoLaw, render_paths, stored_echo
 from sonarjax.sensor.model import SensorModel
 from sonarjax.sensor.multipath import bounce_mesh, bounce_points, render_bounces
 from sonarjax.sensor.observe import observe, observe_scene, received_energy, speckle
@@ -49,7 +49,7 @@ from sonarjax.sensor.speckle import (
 )
 
 __all__ = [
-    "FLOOR_PATHS", "EchoLaw", "SensorModel", "absorption_loss", "array_pattern", "azimuth_kernel", "beam_gains",
+    "EchoLaw", "SensorModel", "absorption_loss", "array_pattern", "azimuth_kernel", "beam_gains",
     "beam_mixing", "bounce_mesh", "bounce_points", "complex_field", "compress", "correlate", "crosstalk_mixing",
     "dim_beams", "elevation_gain", "floor_elevation", "fresh_absorption", "gamma_of_normal", "gamma_texture",
     "group_gains", "heavy_tails", "late_reverberation", "multi_look", "noise_floor", "observe", "observe_scene",

@@ -71,7 +71,9 @@ def render_paths(
     floor_paths: Sequence[Any] = FLOOR_PATHS,
     reverse: bool = False,
 ) -> Float[Array, "view layer range beam"]:
-    """Render echo, highlight and shadow of an object, and of its mirror images in the floor.
+    """Render echo, highlight and shadow (range, beam) of an object, and of its mirror images in the floor.
+
+    Mirror images are those of the image method (Urick, 1983, ch. 5), as in `bounce_mesh`.
 
     Views are rendered one after the other, so that the renderer is compiled once. The mirror images' highlight and
     shadow are not rendered, and zero.
@@ -88,7 +90,7 @@ def render_paths(
         reverse: Allow reverse-mode differentiation, at the cost of always rendering all views.
 
     Returns:
-        Layers of each view (1 + number of paths, 3, range, beam), as in `render.EchoLayers`.
+        Layers (view, layer, range, beam): the object, then one view for each path; layers as in `render.EchoLayers`.
     """
     seen_by = _mirror_images(mesh, pose, sonar, floor_paths)
     count = 1 + len(floor_paths)
