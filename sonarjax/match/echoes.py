@@ -2,7 +2,7 @@
 
 A semantic template fits a map. In a frame an object's faces are not equally bright, echoes by way of the floor lie in
 its shadow, and all of it depends on how the device stores an echo. One law for all devices is enough to find the yaw
-bin: the middle one of those that refinement tries (`refine.template`).
+bin: one near the middle of those that refinement tries (`refine.template`).
 """
 
 from __future__ import annotations

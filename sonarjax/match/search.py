@@ -247,6 +247,7 @@ class TargetSearch:
             del self._banks[key]
 
     def _prepared(self, index: int, coarse: bool, masked: bool, picture: Picture) -> _Entry | None:
+        """As `_bank`, made anew."""
         config = self.config
         try:
             bank = self._render(index, coarse)

@@ -1,19 +1,20 @@
-"""Echo templates: their box, their greys against the closed form, and what they find in a simulated frame."""
+"""Echo templates: their box, a grey against the closed form, and what they find in a simulated frame."""
 
 from __future__ import annotations
 
 import math
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import sonarjax as sj
 from sonarjax.engine import PLAIN
-from sonarjax.match.echoes import EXPONENT, GAIN_DB, NOISE, echo_templates
+from sonarjax.match.echoes import echo_templates
 from sonarjax.match.search import SearchConfig, TargetSearch
-from sonarjax.render import plan_window
-from sonarjax.sensor import SensorModel, observe_scene
+from sonarjax.render import Window, plan_window
+from sonarjax.sensor import EchoLaw, SensorModel, observe_scene, stored_echo
 
 SONAR = sj.Sonar.preset("didson-hf", tilt=math.radians(20.0))
 YAWS = np.radians([0.0, 50.0, 200.0])
@@ -40,14 +41,17 @@ def test_they_lie_in_the_box_of_the_bank_with_the_floor_at_one_half() -> None:
     assert np.allclose(corner, 0.5, atol=1e-6)
 
 
-def test_the_darkest_shadow_is_that_of_the_echo_law() -> None:
-    """Full shadow without an echo leaves the noise alone; the scale is one for all views of a bank."""
-    _, echoes = drawn(sj.objects.brick())
-    dark = NOISE**EXPONENT - (1 + NOISE) ** EXPONENT
-    assert echoes.max() == pytest.approx(1.0)  # an echo differs more from the floor than a shadow does
-    energy = (dark / (echoes.min() - 0.5) * 0.5 + (1 + NOISE) ** EXPONENT) ** (1 / EXPONENT) - 1 - NOISE
-    # What the scale says the brightest pixel's energy is over the floor's, gained: faces fill several bins of floor.
-    assert 1 < energy / 10 ** (GAIN_DB / 10) < 50
+def test_a_grey_is_a_power_of_the_energy_over_the_floors() -> None:
+    """An echo as wide as a bin's floor, bare floor and full shadow, against the closed form."""
+    height, edges = float(SONAR.height), np.asarray(SONAR.range_edges, np.float64)
+    rows = np.arange(200, 240)
+    floor = np.arcsin(height / edges[rows]) - np.arcsin(height / edges[rows + 1])
+    echo = np.stack([floor, 0 * floor, 0 * floor], axis=1).astype(np.float32)
+    shadow = np.zeros_like(echo)
+    shadow[:, 2] = 1.0
+    law = EchoLaw(*(jnp.float32(v) for v in (5.0, 0.1, 0.25)))
+    found = np.asarray(stored_echo(jnp.asarray(echo), jnp.asarray(shadow), SONAR, Window(200, 0, (40, 3)), law))
+    assert np.allclose(found, [6.1**0.25 - 1.1**0.25, 0.0, 0.1**0.25 - 1.1**0.25], atol=2e-4)
 
 
 @pytest.mark.computes
