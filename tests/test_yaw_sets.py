@@ -15,6 +15,7 @@ from experiments.fit_yaw_set import Told, told_of
 from sonarjax.refine import YAW_WEIGHTS, YawMode, YawSet
 
 RNG = np.random.default_rng(5)
+ONE_PEAK = -np.minimum(np.arange(36), 36 - np.arange(36)) / 36
 RESULTS = Path(__file__).resolve().parents[1] / "docs" / "results" / "fit_yaw_set.json"
 
 
@@ -27,7 +28,7 @@ def drawn_told(softness: float, count: int) -> list[Told]:
         yaws = np.array([1.0, 4.0])
         true = yaws[0 if right else 1] + 0.02 * RNG.normal()
         rows = np.stack([yaws, [0.02, 0.02], [0.8, 0.8 - gap]], axis=-1)
-        told.append(Told("a", True, float(true), rows, np.zeros(36), 1.0, {}))
+        told.append(Told("a", True, float(true), rows, ONE_PEAK, 1.0, {}))
     return told
 
 

@@ -2,7 +2,7 @@
 
 A symmetric object looks the same at several yaws, and with noise so does a nearly symmetric one. A single yaw with an
 error bar then claims too much. The modes are the refined hypotheses, and the other peaks of the bank's scores, which
-were not refined.
+were not refined. Where the scores are flat, as for a round object, every bin is such a peak.
 """
 
 from __future__ import annotations
@@ -19,6 +19,8 @@ from sonarjax.io.errors import SonarjaxError
 CIRCLE = 2 * math.pi
 SAME_YAW = math.radians(8.0)
 """Refined hypotheses closer than this are one [rad]."""
+FLAT = 0.005
+"""Scores of a bank that differ by less are equal [NCC]: those of balls and upright cylinders differ by up to 0.003."""
 UNIFORM_STD = CIRCLE / math.sqrt(12)
 """Standard deviation of a completely unknown yaw [rad]."""
 REACH, STEPS, COARSE = 4.0, 64, 720
@@ -206,13 +208,20 @@ def make_yaw_set(
 
 
 def _other_peaks(curve: np.ndarray, yaws: np.ndarray, known: Sequence[float]) -> list[tuple[float, float]]:
-    """Yaw [rad] and height of the local maxima of a curve (yaw,) that are over a bin away from all `known` yaws
-    [rad].
-    """
-    local = (curve >= np.roll(curve, 1)) & (curve > np.roll(curve, -1))
+    """Yaw [rad] and height of the peaks of a curve (yaw,) that are over a bin away from all `known` yaws [rad]."""
     apart = max(1.5 * CIRCLE / len(curve), SAME_YAW)
     far = [all(abs(math.remainder(float(yaw) - one, CIRCLE)) > apart for one in known) for yaw in yaws]
-    return [(float(yaws[k]), float(curve[k])) for k in np.flatnonzero(local & np.array(far))]
+    return [(float(yaws[k]), float(curve[k])) for k in np.flatnonzero(_on_top(curve) & np.array(far))]
+
+
+def _on_top(curve: np.ndarray) -> np.ndarray:
+    """Which bins (yaw,) of a curve are local maxima, or as high as the one they adjoin: round objects have no peak."""
+    top = (curve >= np.roll(curve, 1)) & (curve >= np.roll(curve, -1))
+    for peak in np.flatnonzero(top):
+        for way in (np.arange(peak, peak + len(curve)), np.arange(peak, peak - len(curve), -1)):
+            bins = way % len(curve)
+            top[bins[np.logical_and.accumulate(curve[bins] >= curve[peak] - FLAT)]] = True
+    return top
 
 
 def merged(modes: Sequence[YawMode]) -> tuple[YawMode, ...]:

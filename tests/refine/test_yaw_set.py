@@ -15,7 +15,7 @@ from sonarjax.results import record_of
 
 DEG = math.pi / 180
 BINS = np.arange(36) * 10 * DEG
-FLAT = np.zeros(36)
+ONE_PEAK = -np.abs(np.arange(36) - 6.0)
 PLAIN = YawWeights(softness=0.01, slope=0.5, unrefined=0.0, tail=0.0, tail_scale=1.0)
 
 
@@ -84,7 +84,7 @@ def test_truth_drawn_from_a_set_is_in_it_as_often_as_it_says():
 
 
 def test_nothing_known_is_the_whole_circle():
-    allowed = make_yaw_set([1.0], [math.inf], [0.5], FLAT, BINS, PLAIN)
+    allowed = make_yaw_set([1.0], [math.inf], [0.5], ONE_PEAK, BINS, PLAIN)
     assert sum(widths(allowed, 0.95)) > 0.85 * 2 * math.pi
 
 
@@ -95,7 +95,7 @@ def test_a_coverage_that_is_no_share_is_refused(coverage):
 
 
 def test_weights_follow_the_scores():
-    allowed = make_yaw_set([1.0, 4.0], [0.01, 0.01], [0.9, 0.9 - 0.01], FLAT, BINS, PLAIN)
+    allowed = make_yaw_set([1.0, 4.0], [0.01, 0.01], [0.9, 0.9 - 0.01], ONE_PEAK, BINS, PLAIN)
     assert [mode.weight for mode in allowed.modes] == pytest.approx([math.e / (1 + math.e), 1 / (1 + math.e)])
     assert shares(np.array([0.5, 0.5]), 0.01).tolist() == [0.5, 0.5]
 
@@ -110,6 +110,23 @@ def test_peaks_that_nobody_refined_are_modes_as_wide_as_a_bin():
     assert sorted(mode.yaw_std for mode in allowed.modes) == pytest.approx(
         [0.01, 0.01, *[10 * DEG / math.sqrt(12)] * 2]
     )
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.001])
+def test_a_round_object_leaves_all_yaws_open(noise):
+    curve = 0.8 + noise * np.random.default_rng(0).normal(size=36)
+    allowed = make_yaw_set([0.1], [0.1], [0.7], curve, BINS, YAW_WEIGHTS)
+    assert sum(widths(allowed, 0.95)) > 0.85 * 2 * math.pi
+    assert max(mode.weight for mode in allowed.modes) < 0.15
+
+
+def test_a_flat_top_is_allowed_and_its_slopes_are_not():
+    off = np.abs(np.arange(36) - 18)
+    allowed = make_yaw_set([math.pi], [0.05], [0.7], 0.8 - 0.1 * np.maximum(off - 4, 0), BINS, PLAIN)
+    inside = [np.rad2deg([one.low, one.high]) for one in allowed.intervals(0.95)]
+    assert min(low for low, _ in inside) == pytest.approx(137, abs=5)
+    assert max(high for _, high in inside) == pytest.approx(223, abs=5)
+    assert sum(high - low for low, high in inside) > 60
 
 
 def test_modes_that_overlap_are_one_with_the_mixture_s_moments():
@@ -132,7 +149,7 @@ def test_a_frame_found_without_the_bank_has_no_set():
     found = Recognition(
         identified=True, target="target", score=0.9, score_bank=math.nan, score_refined=0.8, threshold=0.5,
         runner_up=None, margin=None, yaw_bin=math.nan, yaw=1.0, yaw_std=0.01, x=2.0, y=0.0, converged=True,
-        scores_by_yaw=FLAT, hypotheses=(one,), segmenter="none", semantic=np.zeros((2, 2)),
+        scores_by_yaw=ONE_PEAK, hypotheses=(one,), segmenter="none", semantic=np.zeros((2, 2)),
     )  # fmt: skip
     without = replace(found, scores_by_yaw=np.empty(0))
     assert without.yaw_set is None and record_of(without, "a.npy", 0.1)["yaw_set"] is None
