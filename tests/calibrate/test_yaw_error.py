@@ -68,7 +68,18 @@ def test_an_incidence_limit_counts_only_if_there_is_one(monkeypatch):
     image = np.zeros(SONAR.shape, np.float32)
     assert yaw_std_of_geometry(image, MESH, SONAR, POSE, stated, CONFIG) == 0.0
     assert yaw_std_of_geometry(image, MESH, limited, POSE, stated, CONFIG) == pytest.approx(0.05)
-    assert sorted(moved) == [55.0, 65.0]
+    assert sorted(moved) == [55.0, 60.0, 65.0]
+
+
+@pytest.mark.parametrize(("up", "down", "std"), [(0.02, -0.02, 0.02), (0.02, 0.02, 0.02), (0.03, 0.0, 0.03 / 2**0.5)])
+def test_a_yaw_that_turns_the_same_way_for_both_signs_counts(monkeypatch, up, down, std):
+    def refined(image, mesh, sonar, pose, **how):
+        by = float(sonar.tilt) - float(SONAR.tilt)
+        return replace(pose, yaw=0.7 + (up if by > 1e-6 else down if by < -1e-6 else 0.0))
+
+    monkeypatch.setattr(sys.modules["sonarjax.calibrate.yaw_error"], "refine_yaw", refined)
+    image = np.zeros(SONAR.shape, np.float32)
+    assert yaw_std_of_geometry(image, MESH, SONAR, POSE, {"tilt": 0.01}, CONFIG) == pytest.approx(std, rel=1e-4)
 
 
 @pytest.mark.slow
