@@ -77,6 +77,11 @@ class Recognition:
     """Name of the segmenter that made the semantic map; `given` for a map of your own."""
     semantic: np.ndarray = field(repr=False)
     """The image (range, beam) that was matched."""
+    agree: bool | None = None
+    """Whether the map and the frame itself match the target at the same place and yaw, before refinement.
+
+    If they do not, one of them is wrong; the better fit after refinement decides which. None where only one of them is
+    matched: without refinement, for the segmenter `none`, and with a map of your own."""
     evidence: Mapping[str, float] | None = field(default=None, repr=False)
     """The rule's inputs, by the names of `segment.EVIDENCE`, and `curvature_std`, the yaw's standard deviation [rad]
     from `refine_yaw`. None without refinement."""

@@ -25,6 +25,7 @@ from sonarjax.refine import (
     RefinedStart,
     Start,
     YawEstimate,
+    agreeing,
     apart,
     by_echoes,
     compared,
@@ -172,6 +173,7 @@ class Recognizer:
             hypotheses=hypotheses,
             segmenter=self.segmenter.name if given is None else GIVEN,
             semantic=np.asarray(seen),
+            agree=None if best.look.in_frame is None else agreeing(found, best.look.in_frame),
             evidence=best.evidence,
         )
 

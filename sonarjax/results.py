@@ -54,6 +54,7 @@ def record_of(result: Recognition, frame: str, seconds: float, tracked: Tracked 
         "yaw_deg": degrees(result.yaw),
         "yaw_std_deg": degrees(result.yaw_std),
         "converged": result.converged,
+        "agree": result.agree,
         "x_m": result.x,
         "y_m": result.y,
         "scores_by_yaw": [float(score) for score in result.scores_by_yaw],

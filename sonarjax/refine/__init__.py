@@ -21,6 +21,7 @@ from sonarjax.refine.starts import (
     MAP_REFINEMENT,
     Candidate,
     Start,
+    agreeing,
     curve_evidence,
     locate,
     make_starts,
@@ -44,8 +45,8 @@ from sonarjax.refine.yaw_set import (
 __all__ = [
     "COMPARISON", "ERROR_BAR", "FRAME_BLURS", "MAP_REFINEMENT", "MAP_SHARE", "POSE_ERROR_BAR", "SAME_YAW",
     "YAW_WEIGHTS", "Candidate", "Drawn", "ErrorBar", "Evidence", "Look", "PoseErrorBar", "PoseEstimate", "PoseFinder",
-    "RefineConfig", "RefinedStart", "Start", "YawEstimate", "YawInterval", "YawMode", "YawSet", "YawWeights", "apart",
-    "by_echoes", "compared", "curve_evidence", "gather_evidence", "in_common", "in_view", "locate", "look_closely",
-    "make_starts", "make_yaw_set", "merged", "on_frame", "peak_bins", "plan_refinement", "plan_shared",
-    "prepare_refinement", "quick_evidence", "refine_pose", "refine_starts", "refine_yaw", "shares",
+    "RefineConfig", "RefinedStart", "Start", "YawEstimate", "YawInterval", "YawMode", "YawSet", "YawWeights",
+    "agreeing", "apart", "by_echoes", "compared", "curve_evidence", "gather_evidence", "in_common", "in_view",
+    "locate", "look_closely", "make_starts", "make_yaw_set", "merged", "on_frame", "peak_bins", "plan_refinement",
+    "plan_shared", "prepare_refinement", "quick_evidence", "refine_pose", "refine_starts", "refine_yaw", "shares",
 ]  # fmt: skip

@@ -140,6 +140,24 @@ def make_starts(
     return starts
 
 
+def agreeing(in_map: Candidate, in_frame: Candidate) -> bool:
+    """Tell whether map and frame match the target at the same place and yaw.
+
+    Args:
+        in_map: The match in the map.
+        in_frame: The match in the frame.
+
+    Returns:
+        True if the places are closer than the target's radius in plan, and the best yaw bins are the same or
+        neighbours.
+    """
+    corners = np.asarray(in_map.search.mesh.vertices)
+    apart = math.hypot(in_map.x - in_frame.x, in_map.y - in_frame.y)
+    yaws = [float(one.yaws[one.match.scores.argmax()]) for one in (in_map, in_frame)]
+    turned = abs(math.remainder(yaws[0] - yaws[1], 2 * math.pi))
+    return apart < float(np.hypot(*corners[:, :2].T).max()) and turned < 1.5 * 2 * math.pi / len(in_map.yaws)
+
+
 def peak_bins(scores: np.ndarray, yaws: np.ndarray, count: int) -> list[int]:
     """Find the yaw bins at the highest peaks of the scores.
 

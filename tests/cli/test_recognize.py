@@ -8,7 +8,7 @@ import pytest
 FIELDS = {
     "frame", "identified", "score", "score_bank", "score_refined", "threshold", "yaw_bin_deg", "yaw_deg", "yaw_std_deg",
     "x_m", "y_m", "scores_by_yaw", "hypotheses", "segmenter", "seconds", "schema", "converged", "target", "runner_up",
-    "margin", "yaw_set",
+    "margin", "yaw_set", "agree",
 }  # fmt: skip
 
 

@@ -6,10 +6,20 @@ import math
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 import sonarjax as sj
-from sonarjax.refine import COMPARISON, MAP_REFINEMENT, Candidate, Look, compared, plan_refinement, plan_shared
+from sonarjax.refine import (
+    COMPARISON,
+    MAP_REFINEMENT,
+    Candidate,
+    Look,
+    agreeing,
+    compared,
+    plan_refinement,
+    plan_shared,
+)
 from sonarjax.scene.objects import box
 
 SONAR = sj.Sonar.preset("didson-hf", tilt=math.radians(20), height=0.9)
@@ -46,3 +56,27 @@ def test_a_shared_window_holds_what_is_needed_and_is_one_of_few(size: tuple[floa
     assert shared.holds(plan_refinement(mesh, SONAR, at, MAP_REFINEMENT))
     assert shared.shape[0] in (256, 512) and shared.shape[1] in (64, 96)
     assert shared.object_columns == beams
+
+
+def matched(x: float, y: float, best: int) -> Candidate:
+    """A box of 20 x 20 cm that matched best at one of 36 yaw bins, which were rendered for a target straight ahead."""
+    search: Any = SimpleNamespace(mesh=sj.Mesh.from_arrays(*box((0.2, 0.2, 0.1), (0.0, 0.0, 0.05))))
+    bank = SimpleNamespace(x=2.3, y=0.0, yaws=np.arange(36) * math.radians(10.0))
+    match: Any = SimpleNamespace(bank=bank, scores=np.eye(36)[best])
+    return Candidate(search, match, x, y)
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "best", "same"),
+    [(2.3, 0.0, 0, True), (2.3, 0.13, 35, True), (2.45, 0.0, 0, False), (2.3, 0.15, 0, False), (2.3, 0.0, 2, False)],
+)
+def test_matches_agree_within_the_object_and_a_neighbouring_bin(x: float, y: float, best: int, same: bool) -> None:
+    assert agreeing(matched(2.3, 0.0, 0), matched(x, y, best)) is same
+
+
+def test_yaws_agree_whatever_the_bearings_of_their_banks() -> None:
+    turned = matched(2.3, 0.12, 0)
+    turned.match.bank.y = 0.9  # a bank rendered at another bearing: its bins are 21 deg less here
+    assert not agreeing(matched(2.3, 0.12, 0), turned)
+    turned.match.scores = np.eye(36)[2]
+    assert agreeing(matched(2.3, 0.12, 0), turned)
