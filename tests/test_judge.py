@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ast
 import math
+import subprocess
+import sys
 from dataclasses import replace
 from functools import lru_cache
 from itertools import islice
@@ -14,6 +16,7 @@ import pytest
 
 pytest.importorskip("embreex", reason="the judge's ray tracer (extra `test` or `bench`) has no build for this machine")
 
+import sonarjax
 from experiments import judge
 from experiments.judge import echoes
 from experiments.judge.device import Device
@@ -28,6 +31,17 @@ from sonarjax.sonar import Sonar
 
 ALLOWED = ("sonarjax.scene", "sonarjax.sonar", "sonarjax.io.errors")
 HEIGHT = 0.9
+LOADED = """
+import importlib, pkgutil, sys, types
+package = types.ModuleType("sonarjax")
+package.__path__ = [sys.argv[1]]  # an empty package stands in for sonarjax/__init__.py, which loads everything
+sys.modules["sonarjax"] = package
+from experiments import judge
+for found in pkgutil.iter_modules(judge.__path__):
+    importlib.import_module(f"experiments.judge.{found.name}")
+print(*sorted({name.split(".")[1] for name in sys.modules if name.startswith("sonarjax.")}))
+"""
+"""Loads the judge, and prints the parts of the package that it needs."""
 
 
 def view(tilt_deg: float = 20.0, **changes: bool) -> View:
@@ -80,6 +94,13 @@ def test_the_judge_imports_nothing_of_what_it_judges() -> None:
                 assert any(name == known or name.startswith(known + ".") for known in ALLOWED), f"{path}: {name}"
             if root == "experiments":
                 assert name.startswith("experiments.judge."), f"{path}: {name}"
+
+
+def test_nothing_of_what_it_judges_is_loaded_by_other_parts_of_the_package() -> None:
+    package = Path(sonarjax.__file__).parent
+    run = [sys.executable, "-c", LOADED, str(package)]
+    loaded = subprocess.run(run, capture_output=True, text=True, check=True, cwd=package.parent).stdout.split()
+    assert set(loaded) == {"exact", "io", "records", "scene", "sonar"}
 
 
 @pytest.mark.parametrize("conical", [False, True])

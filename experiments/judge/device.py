@@ -73,9 +73,9 @@ class Device:
     patch_m: float = 0.25
     """Size of a patch [m]."""
     ripple: float = 0.0
-    """Relative amplitude of the echo's change over ripples [1]."""
+    """Relative amplitude of the echo's change over ripples [1], the same whichever way the crests run."""
     ripple_m: float = 0.08
-    """Wavelength of ripples [m]."""
+    """Wavelength of ripples [m]. Each frame draws their direction."""
     texture_shape: float = 8.0
     """Shape of the Gamma-distributed texture: speckle times it is K-distributed; large is plain speckle [1]."""
     grain_m: float = 0.02
@@ -89,9 +89,13 @@ class Device:
     late_m: float = 0.4
     """Range over which late reverberation decays to 1/e [m]."""
     glint_db: float = 12.0
-    """A glint's power above the object's brightest resolved cell [dB]."""
+    """Power of the glint, if the frame has one, over the largest mean power of any cell of the frame [dB].
+
+    A cell is one range sample of one sub-beam; the glint fills one cell, and does not fluctuate. Power is that of all
+    echoes together, before speckle, pulse, beam pattern and gain.
+    """
     glint_chance: float = 0.1
-    """Chance of a glint in a frame in which some face is struck squarely [1]."""
+    """Chance of a glint in a frame in which some face is struck squarely (see `sensor.SQUARE`) [1]."""
 
     @classmethod
     def nominal(cls, severity: float = 1.0) -> Device:

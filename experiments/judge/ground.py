@@ -33,7 +33,11 @@ def _texture(view: View, device: Device, rng: np.random.Generator) -> np.ndarray
 
 
 def _ripples(view: View, device: Device, rng: np.random.Generator) -> np.ndarray:
-    """Straight ripples on the floor: slopes that face the sonar send more back."""
+    """Straight ripples on the floor, their crests in a random direction: one slope of each sends more back.
+
+    The direction turns the pattern only. Ripples whose crests run along the line of sight are as strong as those
+    across it, although their slopes face sideways.
+    """
     ground = _ground_range(view)[:, None].astype(np.float32)
     azimuth = view.sub_azimuth.astype(np.float32)
     heading, start = rng.uniform(0, 2 * np.pi, 2).astype(np.float32)

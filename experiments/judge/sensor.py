@@ -83,7 +83,10 @@ def _mean_power(hits: Hits, device: Device, rng: np.random.Generator) -> np.ndar
 
 
 def _glint(hits: Hits, power: np.ndarray, device: Device, rng: np.random.Generator) -> np.ndarray | None:
-    """Amplitude of a mirror-like spot (sample, sub) on a face struck squarely, or None."""
+    """Amplitude of a mirror-like spot (sample, sub) where a ray strikes the object squarely, or None.
+
+    At most one cell of a frame has it: `device.glint_db` over the largest of `power` (sample, sub).
+    """
     row, column = np.nonzero((hits.kind == OBJECT) & (hits.cosine > SQUARE))
     if len(row) == 0 or rng.random() >= device.glint_chance:
         return None

@@ -12,20 +12,27 @@ from sonarjax.data.draws import Stream
 from sonarjax.scene import Mesh
 
 LAMBERT = (0.0, 2.0)
-"""Range of the exponent of cos(incidence) [1]: 0 is eq. 2 alone, 2 is Lambert's law both ways."""
+"""Range of the exponent of cos(incidence) [1].
+
+0 is eq. 2 alone. 1 is Lambert's law: its backscatter is cos² per area (Urick, Principles of Underwater Sound, 1983,
+ch. 8), and the area in a given angle grows as 1/cos. No source for 2: ours, for faces that fade faster.
+"""
 GLOSSY_SHARE, GLOSS, LOBE_DEG = 0.5, (0.3, 10.0), (5.0, 20.0)
 """Share of objects with a glossy lobe, range of its strength relative to the diffuse echo [1], and of its width
-[deg].
+[deg], the angle at which it has fallen to 1/e. No source: guesses, kept wide so that the network sees many materials.
 """
 FACE_DB = (0.0, 3.0)
-"""Range of the standard deviation of the differences between faces [dB]."""
+"""Range of the standard deviation of the differences between faces [dB]. No source: a guess, from none to clearly
+visible.
+"""
 NUMBERS = 8  # random numbers that a material takes from its stream
 
 
 def draw_reflectivity(mesh: Mesh, height: Array, faces: int, *, key: Array) -> Float[Array, "face"]:
     """Draw how much each triangle (face,) of a mesh in the ground frame sends back to a head at `height` [m].
 
-    The first `faces` triangles are the object's. All others, the walls of the tank, have 1.
+    The first `faces` triangles are the object's. All others, the walls of the tank, have 1. No source: independent
+    draws from ranges of ours; `reflectivity` has the law.
     """
     stream = Stream(NUMBERS, key=key)
     exponent = stream.between(*LAMBERT)
@@ -41,15 +48,17 @@ def reflectivity(
 ) -> Float[Array, "face"]:
     """Factor on the energy that each triangle (face,) of a mesh in the ground frame sends back.
 
-    It is cos(incidence)^`exponent`, Lambert's law (Urick, Principles of Underwater Sound, 1983, ch. 8), plus a lobe
-    around the normal. Incidence is taken at the middle of a triangle.
+    It is cos(incidence)^`exponent`, after Lambert's law (Urick, Principles of Underwater Sound, 1983, ch. 8), plus a
+    lobe around the normal, and all that times each pair's own level. The lobe is Gaussian in the angle of incidence,
+    like the slopes of a rough surface's facets in Torrance and Sparrow (J. Opt. Soc. Am. 57, 1967). No source for the
+    sum, or for levels that are normal in dB: models of ours. Incidence is taken at the middle of a triangle.
 
     Args:
         mesh: The mesh.
         height: Height of the sonar head above the origin [m].
-        exponent: Exponent of Lambert's law [1].
-        gloss: Strength of the lobe [1].
-        width: Width of the lobe [rad].
+        exponent: Exponent of cos(incidence) [1], 1 for Lambert's law.
+        gloss: Strength of the lobe, relative to the diffuse echo at normal incidence [1].
+        width: Angle at which the lobe has fallen to 1/e [rad].
         quads_db: Level of each pair of consecutive triangles (quad,) [dB].
     """
     a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))

@@ -35,7 +35,9 @@ PAPER_PAIRS = 6780
 """Pairs in the paper's training set (§3.1)."""
 SPLITS = {"train": 1, "validation": 2, "test": 3}
 SMOOTHING = 1.5
-"""Largest standard deviation of a resampled picture's blur [pixels]."""
+"""Largest standard deviation of a resampled picture's blur [pixels]. No source: about that of a mean over five
+pixels, for pictures much coarser than the frame; one linear interpolation between pixels has 0.4.
+"""
 CHUNK = 8  # pairs that one call of the compiled function makes
 VMAPPED = 64  # the same on an accelerator, where they are computed at once
 
@@ -175,7 +177,11 @@ def draw_pair(settings: PairSettings, *, key: Array) -> Pairs:
 
 @full_precision
 def _resampled(image: Array, share: float, *, key: Array) -> Array:
-    """Smooth an image (range, beam), with probability `share`, as if it was converted to a fan picture and back."""
+    """Smooth an image (range, beam), with probability `share`, as if it was converted to a fan picture and back.
+
+    No source: a Gaussian of random width along each axis stands for whatever interpolation a viewer uses. It is the
+    same all over the frame, while a real fan picture blurs neighbouring beams most at short range.
+    """
     happens, width = jax.random.uniform(key, (3,))[0] < share, SMOOTHING * jax.random.uniform(key, (3,))[1:]
     for axis in (0, 1):
         place = jnp.arange(image.shape[axis])

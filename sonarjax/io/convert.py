@@ -13,9 +13,10 @@ from jaxtyping import Float
 from sonarjax.io.atomic import write_npz, write_png
 from sonarjax.io.console import complain
 from sonarjax.io.errors import SonarjaxError, UnreadableError
-from sonarjax.io.fan import fan_to_polar, polar_to_fan
-from sonarjax.io.fan_geometry import PictureBox, content_box, equal_beams, fan_around, fit_fan
+from sonarjax.io.fan import fan_to_polar, nearest_range, polar_to_fan
+from sonarjax.io.fan_geometry import FanGeometry, PictureBox, content_box, equal_beams, fan_around, fit_fan
 from sonarjax.io.frame import Frame
+from sonarjax.io.given import is_number, shown
 from sonarjax.io.load import iter_frames, iter_records, split_spec
 from sonarjax.io.ros import write_bag
 
@@ -24,6 +25,14 @@ DARKEST = 1 / 255
 
 STRETCHED = 0.02
 """Difference between height and width of a fan picture's pixels from which on a note tells of it [1]."""
+SQUEEZED = 10.0
+"""Ratio of height and width of a fan picture's pixels above which the fan cannot be the one that was told [1]."""
+SMALLEST = 8
+"""Fewest rows and columns of a fan [pixels]."""
+FINE = 2
+"""Pixels of a fan picture along the shortest side of the polar cells. One would lose speckle as fine as the cells."""
+LARGE = 2**23
+"""Pixels of a fan picture above which they are made longer, up to the length of a bin or of a beam at mid range."""
 
 
 @dataclass(frozen=True)
@@ -47,15 +56,19 @@ class FanOptions:
     frame: bool = False
     """The fan touches all four edges of the picture, rather than those of the box that `content_box` finds."""
     width: int | None = None
-    """Columns of the fan picture to make; by default a pixel is as long [m] as a bin, or a beam at mid range if
-    shorter.
+    """Columns of the fan picture to make; by default a pixel is half as long [m] as a bin, or as a beam is wide where
+    the fan begins if that is less. A picture that would have more than `LARGE` pixels is made coarser.
     """
 
     def __post_init__(self) -> None:
-        """Raises SonarjaxError for a number of beams, bins or columns that is below 1."""
+        """Raises SonarjaxError for a number of beams, bins or columns below 1, or an angle or length not finite."""
         for name in ("beams", "bins", "width"):
             if getattr(self, name) is not None and getattr(self, name) < 1:
                 raise SonarjaxError(f"{_option(name)}: expected a number of 1 or more, got {getattr(self, name)}")
+        for name in (*SECTOR, "apex"):
+            value = getattr(self, name)
+            if value is not None and not (is_number(value) and math.isfinite(value)):
+                raise SonarjaxError(f"{_option(name)}: expected a finite number, got {shown(value)}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +99,7 @@ FAN_OPTIONS = {
         "to polar: the fan touches all four edges of the picture (default: its edges are found from the pixels above "
         "black)",
     ),
-    "--width": ("N", "to fan: columns of the picture (default: pixels the size of a bin, or of a beam if smaller)"),
+    "--width": ("N", "to fan: columns of the picture (default: two pixels a bin, or the narrowest beam)"),
 }
 """Command-line option for each field of FanOptions -> its argument (None for a switch) and its help text."""
 SECTOR = ("opening_deg", "range_min", "range_max")
@@ -205,6 +218,7 @@ def _to_polar(picture: Frame, out: str, options: FanOptions, axes: PolarAxes | N
     opening_deg, near, far = _sector(_with_axes(options, axes), "a fan picture, unless --sonar is given")
     rows, columns = picture.shape
     box = PictureBox(0.0, float(rows), 0.0, float(columns)) if options.frame else content_box(picture.image)
+    _check_size(box.bottom - box.top, box.right - box.left)
     apex = float(rows) if options.whole else options.apex
     geometry = fit_fan(box, math.radians(opening_deg), near, far, apex)
     if axes is None:
@@ -214,6 +228,7 @@ def _to_polar(picture: Frame, out: str, options: FanOptions, axes: PolarAxes | N
     image, mask = fan_to_polar(picture.image, geometry, axes.shape, azimuth=axes.azimuth, range_edges=axes.range_edges)
     if not mask.any():
         raise SonarjaxError("fan: expected a fan that overlaps the picture, it lies outside")
+    _check_pixels(geometry)
     write_npz(out, image=image, mask=mask, azimuth_deg=np.degrees(axes.azimuth), range_edges_m=axes.range_edges)
     if abs(geometry.row_m / geometry.column_m - 1) > STRETCHED:
         complain(
@@ -248,14 +263,41 @@ def _with_axes(options: FanOptions, axes: PolarAxes | None) -> FanOptions:
 def _to_fan(polar: Frame, out: str, options: FanOptions, axes: PolarAxes | None) -> str:
     azimuth, edges = _axes(polar, options, axes)
     opening, near, far = _opening(azimuth, options), float(edges[0]), float(edges[-1])
-    pixel = min((far - near) / polar.shape[0], (far + near) / 2 * opening / azimuth.size)
-    if options.width is not None:
+    if options.width is None:
+        pixel = _pixel(opening, near, far, polar.shape)
+    else:
         pixel = 2 * far * math.sin(min(opening, math.pi) / 2) / options.width
     geometry, shape = fan_around(opening, near, far, pixel)
+    _check_size(*shape, " of the frame: give a larger --width")
     picture, seen = polar_to_fan(polar.image, azimuth, edges, geometry, shape, polar.mask)
     write_png(out, np.where(seen, np.maximum(picture, DARKEST), 0.0))
     size = f"{shape[0]} x {shape[1]} pixels"
     return f"{out}: {size}, {_told(math.degrees(opening), near, far)}, {seen.mean():.1%} of the pixels measured"
+
+
+def _pixel(opening: float, near: float, far: float, shape: tuple[int, int]) -> float:
+    """Length of a fan picture's pixel [m]: as `FINE` wants it, longer in a large picture, but not longer than cells."""
+    depth, width = (far - near) / shape[0], opening / shape[1]
+    whole, (rows, columns) = fan_around(opening, near, far, far)
+    area = rows * whole.row_m * columns * whole.column_m
+    fine = max(min(depth, nearest_range(near, far) * width) / FINE, math.sqrt(area / LARGE))
+    return min(fine, depth, (far + near) / 2 * width)
+
+
+def _check_size(rows: float | int, columns: float | int, hint: str = "") -> None:
+    if min(rows, columns) < SMALLEST:
+        least = f"{SMALLEST} x {SMALLEST} pixels"
+        raise SonarjaxError(f"fan: picture: expected a fan of at least {least}, got {rows:g} x {columns:g}{hint}")
+
+
+def _check_pixels(geometry: FanGeometry) -> None:
+    high, wide = geometry.row_m, geometry.column_m
+    if not 1 / SQUEEZED <= high / wide <= SQUEEZED:
+        sector = _told(math.degrees(geometry.opening), geometry.range_min, geometry.range_max)
+        raise SonarjaxError(
+            f"fan: opening, range and apex: expected those of the fan in the picture, got {sector}: a pixel would be "
+            f"{high:.4g} m high and {wide:.4g} m wide"
+        )
 
 
 def _axes(polar: Frame, options: FanOptions, axes: PolarAxes | None) -> tuple[np.ndarray, np.ndarray]:

@@ -1,11 +1,15 @@
-"""Fan pictures to polar images and back, by averaging, so that no pixel of the finer grid is skipped.
+"""Fan pictures to polar images and back, by interpolation, or by averaging where the target is much coarser.
 
 Polar images follow the package's convention: axis 0 is range, near first, axis 1 the beam in ascending azimuth, so
-column 0 is starboard-most. `FanGeometry` says where a picture's pixels lie. A cell of the target that covers several
-pixels of the source takes the mean of that many points in it. Between pixels both directions interpolate: with `order`
-3 by a cubic spline (the default, which keeps speckle), with 1 linearly (never brighter or darker than the pixels
-around), with 0 by the nearest pixel, so that labels stay labels. A pixel that was not measured (black corners, a mask)
-takes the value of the nearest measured one, so that edges neither darken nor ring.
+column 0 is starboard-most. `FanGeometry` says where a picture's pixels lie. Between pixels both directions interpolate:
+with `order` 3 by a cubic spline (the default, which keeps speckle), with 1 linearly (never brighter or darker than the
+pixels around), with 0 by the nearest pixel, so that labels stay labels. A pixel that was not measured (black corners, a
+mask) takes the value of the nearest measured one, so that edges neither darken nor ring.
+
+A pixel of a picture that covers several polar cells takes the mean of that many points in it. A polar cell takes the
+picture's value at its centre: a picture of a sonar's own cells passes through it there, and a mean over the cell would
+mix its neighbours in. Only if all cells are more than `SHOWN` pixels long and wide do they take the mean of their
+points, because such cells are coarser than what the picture shows, and one point of each would keep its noise.
 """
 
 from __future__ import annotations
@@ -26,6 +30,8 @@ LEAST_WEIGHT = 0.01
 """Least share of a cell's interpolation weight that must fall on measured pixels."""
 NEAREST_RANGE = 1 / 8
 """Share of the largest range. Nearer than that, beams become ever narrower, and not every one in a pixel is sampled."""
+SHOWN = 4
+"""Most pixels along the shortest side of the polar cells for which the picture is taken to show these cells."""
 MOST_PARTS = 64
 """Most points along one side of a cell that are averaged."""
 
@@ -217,22 +223,29 @@ def _inside(geometry: FanGeometry, shape: tuple[int, int]) -> Bool[np.ndarray, "
 
 
 def _parts_of_cell(geometry: FanGeometry, range_edges: np.ndarray, beam_edges: np.ndarray) -> tuple[int, int]:
-    """How many pixels the largest polar cell covers along range and across it; interpolation covers the remainder."""
+    """Points to average in a polar cell along range and across it: its pixels if it is coarse, or else its centre."""
     angles = np.array([0.0, min(geometry.opening, np.pi) / 2])
     along = np.hypot(np.cos(angles) / geometry.row_m, np.sin(angles) / geometry.column_m).max()
     across = np.hypot(np.sin(angles) / geometry.row_m, np.cos(angles) / geometry.column_m).max()
     depth, width = float(np.diff(range_edges).max()), float(range_edges[-1]) * float(np.diff(beam_edges).max())
-    return _parts(depth * along), _parts(width * across)
+    narrow = nearest_range(range_edges[0], range_edges[-1]) * float(np.diff(beam_edges).max())
+    coarse = min(_parts(depth * along), _parts(narrow * across)) > SHOWN
+    return (_parts(depth * along), _parts(width * across)) if coarse else (1, 1)
 
 
 def _parts_of_pixel(geometry: FanGeometry, range_edges: np.ndarray, beam_edges: np.ndarray) -> tuple[int, int]:
     """How many polar cells a pixel covers, down and across."""
-    near = max(float(range_edges[0]), NEAREST_RANGE * float(range_edges[-1]))
+    near = nearest_range(range_edges[0], range_edges[-1])
     depth, width = float(np.diff(range_edges).min()), near * float(np.diff(beam_edges).min())
     sine = abs(np.sin(min(geometry.opening, np.pi) / 2))
     down = geometry.row_m * max(1 / depth, sine / width)
     across = geometry.column_m * max(1 / width, sine / depth)
     return _parts(down), _parts(across)
+
+
+def nearest_range(near: float, far: float) -> float:
+    """Range [m] at which beams are taken to be narrowest: `near`, but no less than `NEAREST_RANGE` of `far`."""
+    return max(float(near), NEAREST_RANGE * float(far))
 
 
 def _parts(covered: float) -> int:

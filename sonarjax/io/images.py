@@ -1,7 +1,8 @@
 """Plain images (PNG, NPY, NPZ) as frames, with every check on type, size and values that a frame must pass.
 
 An NPZ holds `image`, optionally `mask` (true where measured), and optionally `azimuth_deg` and `range_edges_m`, as
-`sonarjax render` writes them. At most `PIXEL_LIMIT` pixels are unpacked, whatever a header asks for.
+`sonarjax render` writes them. Where it was not measured, a float image may hold anything, such as NaN. At most
+`PIXEL_LIMIT` pixels are unpacked, whatever a header asks for.
 """
 
 from __future__ import annotations
@@ -21,23 +22,35 @@ ROUNDING = 1e-6
 """Floats up to this far outside [0, 1] are put down to float32 rounding and clipped."""
 
 
-def unit_image(values: np.ndarray, name: str) -> Float32[np.ndarray, "range beam"]:
+def unit_image(
+    values: np.ndarray, name: str, mask: Bool[np.ndarray, "range beam"] | None = None
+) -> Float32[np.ndarray, "range beam"]:
     """An image (range, beam) as float32 in [0, 1]: uint8 and uint16 divided by their maximum, floats unchanged.
 
     Other integers are refused: they come from arithmetic, and divided by their maximum the image would be black.
 
+    Args:
+        values: Stored image (range, beam), not empty.
+        name: Its file, for messages.
+        mask: True where a pixel was measured (range, beam); None means everywhere.
+
+    Returns:
+        The image (range, beam). Floats that are NaN, infinite or outside [0, 1] where `mask` is false become 0.
+
     Raises:
-        SonarjaxError: The shape is not (range, beam) or is empty; the type is not a number, or an integer other than
-            uint8 and uint16; or floats are NaN, infinite or outside [0, 1] by more than rounding.
+        SonarjaxError: The type is not a number, or an integer other than uint8 and uint16; or floats are NaN, infinite
+            or outside [0, 1] by more than rounding where `mask` is true.
     """
-    if values.ndim != 2 or values.size == 0:
-        raise SonarjaxError(f"{name}: image: expected a shape (range, beam) that is not empty, got {values.shape}")
     if values.dtype.kind in "iu":
         return _unit_integers(values, name)
     if values.dtype.kind not in "bf":
         raise SonarjaxError(f"{name}: image: dtype: expected integer or float, got {values.dtype}")
+    if mask is not None:
+        usable = (values >= -ROUNDING) & (values <= 1 + ROUNDING)
+        values = np.where(mask | usable, values, values.dtype.type(0))
     if not np.isfinite(values).all():
-        raise SonarjaxError(f"{name}: image: expected finite values, got NaN or infinity")
+        where = "" if mask is None else " where the mask is true"
+        raise SonarjaxError(f"{name}: image: expected finite values{where}, got NaN or infinity")
     low, high = float(values.min()), float(values.max())
     if low < -ROUNDING or high > 1.0 + ROUNDING:
         raise SonarjaxError(f"{name}: image: expected floats in [0, 1], got {low:g} to {high:g}")
@@ -130,8 +143,10 @@ def _single(
     archive: NpzArchive | None = None,
 ) -> Frame:
     frame_numbers(name, 1, index)
-    image = unit_image(values, name)
-    checked = None if mask is None else bool_mask(mask, image.shape, name)
+    if values.ndim != 2 or values.size == 0:
+        raise SonarjaxError(f"{name}: image: expected a shape (range, beam) that is not empty, got {values.shape}")
+    checked = None if mask is None else bool_mask(mask, values.shape, name)
+    image = unit_image(values, name, checked)
     geometry = None if archive is None else _geometry(archive, image.shape)
     scale = f"{values.dtype}" + (", divided by its maximum" if values.dtype.kind in "iu" else "")
     return named(image, name, 0, 1, geometry, {"format": kind, "stored_scale": scale}, checked)

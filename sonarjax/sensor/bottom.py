@@ -23,7 +23,9 @@ def ripple_brightness(
     """Return the brightness of a rippled floor: 1 + depth·sin(phase).
 
     Slopes that face the sonar are brighter. To first order, a small slope changes Lambert's law in proportion (Urick,
-    Principles of Underwater Sound, 1983, ch. 8). A single wave is a model of ours.
+    Principles of Underwater Sound, 1983, ch. 8). A single wave is a model of ours. `direction` turns the pattern but
+    does not change its depth: crests that run along the line of sight tilt the floor only sideways, and so should
+    hardly show, but are drawn as deep as those across it.
 
     Args:
         sonar: Gives the height and the beams.

@@ -26,7 +26,7 @@ class SensorModel:
     object_gain: Scalar = 8.0
     """Backscatter of objects relative to the floor's [dB]; the renderer itself gives both the same."""
     floor_lambert: Scalar = 0.0
-    """Exponent of cos(incidence) in the floor's echo [1], on top of the renderer's own; 1 or 2 for Lambert's law."""
+    """Exponent of cos(incidence) in the floor's echo [1], on top of the renderer's own; 1 for Lambert's law."""
     temperature: Scalar = 15.0
     """Temperature of the fresh water, which sets the absorption [deg C]."""
     tvg_absorption: Scalar = 0.9

@@ -55,7 +55,7 @@ class Sonar:
     absorption: Scalar = 0.0
     """One-way absorption [dB/m]; 0 as in eq. 2."""
     lambert: Scalar = 0.0
-    """Exponent of cos(incidence) in the strength of an echo; 0 as in eq. 2, 1 or 2 for Lambert's law."""
+    """Exponent of cos(incidence) in the strength of an echo; 0 as in eq. 2, 1 for Lambert's law."""
     highlight_max_incidence: Scalar = 90.0
     """Largest angle of incidence, from a facet's normal, that still gives highlight [deg]; 90 for any.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -74,6 +75,39 @@ def test_and_back(command, fan, tmp_path):
     assert code == 0
     np.testing.assert_array_equal(first > 0, second > 0)
     assert np.sqrt(np.mean((first - second) ** 2)) < 0.005
+
+
+@pytest.mark.parametrize("preset", ["didson-hf", "aris-1800", "oculus"])
+def test_speckle_comes_back(command, tmp_path, preset):
+    """Frame, fan of 8 bits and frame again with the defaults: within 1 % of the frame's own RMS, so of full scale too.
+
+    White speckle, finer than any sensor's, on even and uneven beams. A mean over the cells would lose a tenth of it.
+    """
+    sonar, toml = Sonar.preset(preset), tmp_path / "sonar.toml"
+    sonar.to_toml(toml)
+    image = np.clip(np.random.default_rng(0).rayleigh(0.18, sonar.shape), 0, 1).astype(np.float32)
+    edges = np.linspace(float(sonar.range_min), float(sonar.range_max), sonar.n_ranges + 1)
+    azimuth_deg = np.degrees(np.asarray(sonar.azimuth, np.float64))
+    np.savez(tmp_path / "a.npz", image=image, azimuth_deg=azimuth_deg, range_edges_m=edges)
+    assert command("convert", tmp_path / "a.npz", "--out", tmp_path / "a.png")[0] == 0
+    assert command("convert", tmp_path / "a.png", "--sonar", toml, "--out", tmp_path / "b.npz")[::2] == (0, "")
+    back = read_frames(tmp_path / "b.npz")[0]
+    assert back.shape == image.shape and back.mask.all()
+    assert np.sqrt(np.mean((back.image - image) ** 2)) < 0.01 * np.sqrt(np.mean(image**2))
+
+
+def test_large_picture_gets_longer_pixels(command, tmp_path, monkeypatch):
+    """Half as long as bins, or as many as are wanted at most, or as long as bins."""
+    np.save(tmp_path / "a.npy", np.full((100, 20), 0.5, np.float32))
+    sizes = {}
+    for most in (10**6, 20_000, 100):
+        monkeypatch.setattr(sys.modules["sonarjax.io.convert"], "LARGE", most)
+        assert command("convert", tmp_path / "a.npy", *SECTOR, "--out", tmp_path / "a.png")[0] == 0
+        with Image.open(tmp_path / "a.png") as picture:
+            sizes[most] = picture.width * picture.height
+    area = (4 - 1.5 * math.cos(math.radians(14.5))) * 8 * math.sin(math.radians(14.5))
+    wanted = {10**6: area / 0.0125**2, 20_000: 20_000, 100: area / 0.025**2}
+    assert sizes == pytest.approx(wanted, rel=0.02)
 
 
 def test_black_frame_is_found_again(command, tmp_path):
@@ -183,7 +217,7 @@ def test_one_beam_is_as_wide_as_is_told(command, complaint, tmp_path):
         code, said, err = command("convert", *given, "--opening-deg", 20, "--out", out)
         assert (code, err) == (0, "") and "opening 20 deg, range 1.5 to 4 m" in said
         with Image.open(out) as picture:
-            assert picture.width == pytest.approx(8 * math.sin(math.radians(10)) / 0.05, abs=1)
+            assert picture.width == pytest.approx(8 * math.sin(math.radians(10)) / 0.025, abs=1)
         out.unlink()
 
 
@@ -253,6 +287,16 @@ def test_frame_of_the_right_shape_is_recognized(command, place, fan, tmp_path, s
         (("a.npy", *SECTOR, "--whole", "--out", "p.png"), 2, "--whole: can only be used with a .npz"),
         (("FAN", *SECTOR[:2], "--range-min", 4, "--range-max", 1.5, "--out", "p.npz"), 2, "fan.png: fan: range"),
         (("FAN", "--opening-deg", 0, *SECTOR[2:], "--out", "p.npz"), 2, "fan.png: fan: opening"),
+        (("FAN", "--opening-deg", 400, *SECTOR[2:], "--out", "p.npz"), 2, "fan.png: fan: opening: expected above"),
+        (("a.npy", "--opening-deg", 400, *SECTOR[2:], "--out", "p.png"), 2, "a.npy: fan: opening: expected above 0"),
+        (("FAN", "--opening-deg", 1e-9, *SECTOR[2:], "--out", "p.npz"), 2, "fan.png: fan: opening, range and apex: ex"),
+        (("FAN", *SECTOR[:2], "--range-min", 4, "--range-max", 4, "--out", "p.npz"), 2, "fan.png: fan: range: exp"),
+        (("a.npy", *SECTOR[:2], "--range-min", -1, "--range-max", 4, "--out", "p.png"), 2, "a.npy: fan: range: expect"),
+        (("FAN", *SECTOR[:2], "--range-min", 3.999, "--range-max", 4, "--out", "p.npz"), 2, "fan.png: fan: opening, r"),
+        (("FAN", "--opening-deg", "nan", *SECTOR[2:], "--out", "p.npz"), 2, "--opening-deg: expected a number"),
+        (("tiny.png", *SECTOR, "--out", "p.npz"), 2, "tiny.png: fan: picture: expected a fan of at least 8 x 8 pixels"),
+        (("speck.png", *SECTOR, "--out", "p.npz"), 2, "speck.png: fan: picture: expected a fan of at least 8 x 8"),
+        (("a.npy", *SECTOR, "--width", 7, "--out", "p.png"), 2, "x 7 of the frame: give a larger --width"),
         (("FAN", *SECTOR, "--whole", "--apex", 0, "--out", "p.npz"), 2, "fan.png: --apex: cannot be used with --whole"),
         (("FAN", *SECTOR, "--apex", 3, "--out", "p.npz"), 2, "fan.png: fan: apex: expected a row below"),
         (("FAN", *SECTOR, "--apex", 7.001, "--out", "p.npz"), 2, "fan.png: fan: expected a fan that overlaps"),
@@ -272,6 +316,8 @@ def test_what_cannot_be_converted(complaint, fan, tmp_path, monkeypatch, argumen
     np.save("a.npy", np.full((20, 10), 0.5, np.float32))
     np.savez("own.npz", image=np.full((2, 2), 0.5), azimuth_deg=np.array([-1.0, 1]), range_edges_m=np.arange(1.0, 4))
     write_png("black.png", np.zeros((20, 10), np.uint8))
+    write_png("tiny.png", np.full((2, 2), 200, np.uint8))
+    write_png("speck.png", np.pad(np.full((20, 7), 200, np.uint8), 50))
     (tmp_path / "broken.png").write_bytes(b"no picture")
     before = set(os.listdir())
     given = [os.path.relpath(fan) if argument == "FAN" else argument for argument in arguments]

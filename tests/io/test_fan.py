@@ -138,6 +138,19 @@ def test_round_trip(rng, kind, pixel, most):
     assert rms(back - image) < 0.15 * image.std()
 
 
+@pytest.mark.parametrize("finer", [2, 3, 4])
+@pytest.mark.parametrize("opening_deg", [30, 60, 130])
+def test_round_trip_of_speckle_as_fine_as_cells(rng, opening_deg, finer):
+    """Within 1 % of the image's own RMS, far beams many pixels wide; a mean over the cells would lose a tenth."""
+    image = np.clip(rng.rayleigh(0.18, (BINS, BEAMS)), 0, 1).astype(np.float32)
+    opening = math.radians(opening_deg)
+    pixel = min((FAR - NEAR) / BINS, NEAR * opening / BEAMS) / finer
+    picture, _, geometry = fan_of(image, opening, pixel=pixel)
+    back, mask = fan_to_polar(picture, geometry, image.shape)
+    assert mask.all()
+    assert rms(back - image) < 0.01 * rms(image)
+
+
 def test_coarse_polar_grid_averages(rng):
     """White noise keeps its mean and loses its variance as its cells' pixels are many; points would keep it."""
     geometry, shape = fan_around(OPENING, NEAR, FAR, 0.005)
@@ -326,3 +339,10 @@ def polar(azimuth, edges):
 def test_options_of_no_size_are_refused(name: str) -> None:
     with pytest.raises(SonarjaxError, match=f"--{name}: expected a number of 1 or more, got 0"):
         FanOptions(**{name: 0})
+
+
+@pytest.mark.parametrize("name", ["opening_deg", "range_min", "range_max", "apex"])
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_options_that_are_no_number_are_refused(name: str, value: float) -> None:
+    with pytest.raises(SonarjaxError, match=f"--{name.replace('_', '-')}: expected a finite number, got "):
+        FanOptions(**{name: value})

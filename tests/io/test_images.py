@@ -99,6 +99,39 @@ def test_npz_with_mask_and_geometry(tmp_path):
     assert "66.7% of the pixels" in text and "range_edges_m" in text
 
 
+HOLES = np.where(np.arange(3)[:, None] == 1, np.nan, UNIT)
+ROWS = np.repeat([[True], [False], [True]], 4, axis=1)
+
+
+@pytest.mark.parametrize("hole", [np.nan, np.inf, -np.inf, -9999.0, 1e30])
+@pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64])
+def test_a_pixel_that_was_not_measured_may_hold_anything(make, saved, dtype, hole):
+    """It becomes 0 if it is no value; the others stay, masked or not."""
+    with np.errstate(over="ignore"):
+        image = np.where(ROWS | (np.arange(4) > 1), UNIT, hole).astype(dtype)
+    (frame,) = read_frames(saved("a.npz", make.npz(image=image, mask=ROWS)))
+    np.testing.assert_array_equal(frame.image, np.where(ROWS | (np.arange(4) > 1), UNIT.astype(dtype), 0))
+    np.testing.assert_array_equal(frame.mask, ROWS)
+    assert frame.image.dtype == np.float32
+
+
+@pytest.mark.parametrize(
+    ("hole", "message"),
+    [
+        (np.nan, "image: expected finite values where the mask is true, got NaN or infinity"),
+        (-np.inf, "image: expected finite values where the mask is true, got NaN or infinity"),
+        (1.5, r"image: expected floats in \[0, 1\], got 0 to 1.5"),
+    ],
+)
+def test_a_measured_pixel_must_hold_a_value(make, saved, hole, message):
+    image = HOLES.copy()
+    image[2, 3] = hole
+    path = saved("a.npz", make.npz(image=image, mask=ROWS))
+    with pytest.raises(SonarjaxError, match=message) as caught:
+        read_frames(path)
+    assert str(caught.value).startswith(f"{path}: image: ") and "\n" not in str(caught.value)
+
+
 def test_uneven_range_bins_are_refused(make, saved):
     for edges, even in ((np.linspace(0.7, 3.9, 4, dtype=np.float32), True), (np.array([1.0, 1.1, 1.3, 1.7]), False)):
         path = saved("a.npz", make.npz(image=UNIT, azimuth_deg=np.arange(4.0), range_edges_m=edges))
@@ -150,6 +183,8 @@ BAD_MEMBERS = [
     ({"labels": UNIT}, "image: expected an array of this name, found 'labels'"),
     ({"image": UNIT, "mask": np.ones((4, 3), bool)}, r"mask: expected the image's shape \(3, 4\), got \(4, 3\)"),
     ({"image": UNIT, "mask": UNIT}, "mask: expected booleans"),
+    ({"image": UNIT[0], "mask": np.ones((3, 4), bool)}, r"image: expected a shape \(range, beam\)"),
+    ({"image": np.full((3, 4), np.nan), "mask": np.full((3, 4), np.nan)}, "mask: expected booleans"),
     ({"image": UNIT, "mask": np.zeros((3, 4), bool)}, "mask: expected at least one measured pixel"),
     (
         {"image": UNIT, "azimuth_deg": np.arange(3.0), "range_edges_m": np.arange(4.0)},
