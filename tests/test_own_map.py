@@ -83,6 +83,7 @@ def test_where_the_map_is_of_no_use_the_frame_itself_gives_the_yaw(image, mesh):
     assert math.degrees(abs(result.yaw - 0.8)) < 2 < math.degrees(abs(result.yaw_bin - 0.8))
     assert set(EVIDENCE) < set(result.evidence)
     assert result.evidence["frame_peak"] > result.score_bank
+    assert result.agree is False
 
 
 @pytest.mark.slow

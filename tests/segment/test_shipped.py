@@ -60,7 +60,7 @@ def test_a_rendered_map_passes_nearly_unchanged():
 def test_the_default_recognizes_target_and_yaw(scene):
     sonar, image, _ = scene
     result = sj.recognize(image, sj.objects.target(), sonar)
-    assert result.segmenter == "pix2pix" and result.identified
+    assert result.segmenter == "pix2pix" and result.identified and result.agree is True
     assert abs(math.degrees(math.remainder(result.yaw - YAW, 2 * math.pi))) < 3.0
     assert math.hypot(result.x - 2.3, result.y - 0.05) < 0.03
 
