@@ -80,8 +80,9 @@ class Recognition:
     agree: bool | None = None
     """Whether the map and the frame itself match the target at the same place and yaw, before refinement.
 
-    If they do not, one of them is wrong; the better fit after refinement decides which. None where only one of them is
-    matched: without refinement, for the segmenter `none`, and with a map of your own."""
+    If not, at least one of them is wrong, unless the object looks the same at several yaws; the better fit after
+    refinement decides. None where only one of them is matched: without refinement, for the segmenter `none`, and with a
+    map of your own."""
     evidence: Mapping[str, float] | None = field(default=None, repr=False)
     """The rule's inputs, by the names of `segment.EVIDENCE`, and `curvature_std`, the yaw's standard deviation [rad]
     from `refine_yaw`. None without refinement."""

@@ -40,7 +40,7 @@ def image(mesh):
     ],
 )
 def test_a_segmenter_s_own_map_gives_what_the_segmenter_gives(image, mesh, segmenter, masked, refine):
-    """All but the score: a rule is a segmenter's, and a map of one's own has none."""
+    """All but the score, since a map of one's own has no rule, and `agree`, since the frame itself is not matched."""
     mask = np.ones(SONAR.shape, bool)
     mask[:10] = False
     mask = mask if masked else None
@@ -48,8 +48,9 @@ def test_a_segmenter_s_own_map_gives_what_the_segmenter_gives(image, mesh, segme
     by_name = recognizer(image, mask, threshold=0.5)
     filled = image if mask is None else np.where(mask, image, np.float32(0.5))
     given = recognizer(image, mask, semantic=load_segmenter(segmenter).semantic(filled, mask), threshold=0.5)
+    assert given.agree is None
     assert given.segmenter == "given" and given.score == given.score_bank
-    for name in {field.name for field in fields(given)} - {"segmenter", "score"}:
+    for name in {field.name for field in fields(given)} - {"segmenter", "score", "agree"}:
         np.testing.assert_array_equal(getattr(given, name), getattr(by_name, name), err_msg=name)
 
 

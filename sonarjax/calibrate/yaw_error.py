@@ -38,13 +38,13 @@ def yaw_std_of_geometry(
 ) -> float:  # fmt: skip
     """Return the standard deviation of yaw that an uncertain geometry of the sonar causes.
 
-    The yaw is refined again from `pose`, as the sonar is and with each stated number one standard deviation up and
-    down. The root mean square of both changes is the share of that number, so that a yaw which turns the same way for
-    both counts as well. The shares are added in quadrature. An incidence limit counts only if the sonar has one. This
-    assumes that the errors of the geometry are independent and the same in all frames. The derivative of `refine_yaw`
-    would be faster. Refining again is safer, because an objective that is rough within a tenth of a degree does not
-    disturb it. Source: the variance of a function of a random number from two points, Rosenblueth, Point estimates for
-    probability moments, PNAS 72, 1975, about its value at the mean.
+    The yaw is refined again from `pose`: once with the sonar as it is, and with each stated number one standard
+    deviation up and down. The root mean square of the two changes is the share of that number, so it also counts if yaw
+    turns the same way for both. The shares are added in quadrature. An incidence limit counts only if the sonar has
+    one. This assumes that the errors of the geometry are independent and the same in all frames. The derivative of
+    `refine_yaw` would be faster. Refining again is safer, because an objective that is rough within a tenth of a degree
+    does not disturb it. Source: Rosenblueth, Point estimates for probability moments, PNAS 72, 1975, who estimates a
+    variance from two such points; here it is taken about the yaw of the unchanged sonar, not about the mean of the two.
 
     Args:
         image: The frame (range, beam).

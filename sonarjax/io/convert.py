@@ -56,8 +56,8 @@ class FanOptions:
     frame: bool = False
     """The fan touches all four edges of the picture, rather than those of the box that `content_box` finds."""
     width: int | None = None
-    """Columns of the fan picture to make; by default a pixel is half as long [m] as a bin, or as a beam is wide where
-    the fan begins if that is less. A picture that would have more than `LARGE` pixels is made coarser.
+    """Columns of the fan picture to make; by default a pixel is half as long [m] as a bin, or half as long as a
+    beam is wide at `nearest_range` if that is less. A picture that would have more than `LARGE` pixels has longer ones.
     """
 
     def __post_init__(self) -> None:
@@ -99,7 +99,10 @@ FAN_OPTIONS = {
         "to polar: the fan touches all four edges of the picture (default: its edges are found from the pixels above "
         "black)",
     ),
-    "--width": ("N", "to fan: columns of the picture (default: two pixels a bin, or the narrowest beam)"),
+    "--width": (
+        "N",
+        "to fan: columns of the picture (default: two pixels for each bin, or for each beam if that is finer)",
+    ),
 }
 """Command-line option for each field of FanOptions -> its argument (None for a switch) and its help text."""
 SECTOR = ("opening_deg", "range_min", "range_max")

@@ -8,7 +8,7 @@ mask) takes the value of the nearest measured one, so that edges neither darken 
 
 A pixel of a picture that covers several polar cells takes the mean of that many points in it. A polar cell takes the
 picture's value at its centre: a picture of a sonar's own cells passes through it there, and a mean over the cell would
-mix its neighbours in. Only if all cells are more than `SHOWN` pixels long and wide do they take the mean of their
+mix its neighbours in. Only if every cell is more than `SHOWN` pixels long and wide do they take the mean of their
 points, because such cells are coarser than what the picture shows, and one point of each would keep its noise.
 """
 
@@ -31,7 +31,9 @@ LEAST_WEIGHT = 0.01
 NEAREST_RANGE = 1 / 8
 """Share of the largest range. Nearer than that, beams become ever narrower, and not every one in a pixel is sampled."""
 SHOWN = 4
-"""Most pixels along the shortest side of the polar cells for which the picture is taken to show these cells."""
+"""A picture shows single polar cells if the shortest side of the smallest is at most this many pixels long. Longer
+cells are averaged.
+"""
 MOST_PARTS = 64
 """Most points along one side of a cell that are averaged."""
 
@@ -228,8 +230,9 @@ def _parts_of_cell(geometry: FanGeometry, range_edges: np.ndarray, beam_edges: n
     along = np.hypot(np.cos(angles) / geometry.row_m, np.sin(angles) / geometry.column_m).max()
     across = np.hypot(np.sin(angles) / geometry.row_m, np.cos(angles) / geometry.column_m).max()
     depth, width = float(np.diff(range_edges).max()), float(range_edges[-1]) * float(np.diff(beam_edges).max())
-    narrow = nearest_range(range_edges[0], range_edges[-1]) * float(np.diff(beam_edges).max())
-    coarse = min(_parts(depth * along), _parts(narrow * across)) > SHOWN
+    least = float(np.diff(range_edges).min())
+    narrow = nearest_range(range_edges[0], range_edges[-1]) * float(np.diff(beam_edges).min())
+    coarse = min(_parts(least * along), _parts(narrow * across)) > SHOWN
     return (_parts(depth * along), _parts(width * across)) if coarse else (1, 1)
 
 

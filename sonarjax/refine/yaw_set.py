@@ -68,7 +68,7 @@ class YawWeights(NamedTuple):
     """Factor on the standard deviations of those errors [1]."""
 
 
-YAW_WEIGHTS = YawWeights(softness=0.0075, slope=1.0, unrefined=0.0, tail=0.1, tail_scale=2.0)
+YAW_WEIGHTS = YawWeights(softness=0.01, slope=1.0, unrefined=0.0, tail=0.1, tail_scale=2.0)
 """Fitted to validation frames, whose devices and objects occur in no test (experiments/fit_yaw_set.py)."""
 
 
@@ -220,7 +220,7 @@ def _on_top(curve: np.ndarray) -> np.ndarray:
     for peak in np.flatnonzero(top):
         for way in (np.arange(peak, peak + len(curve)), np.arange(peak, peak - len(curve), -1)):
             bins = way % len(curve)
-            top[bins[np.logical_and.accumulate(curve[bins] >= curve[peak] - FLAT)]] = True
+            top[bins[np.logical_and.accumulate(np.abs(curve[bins] - curve[peak]) <= FLAT)]] = True
     return top
 
 

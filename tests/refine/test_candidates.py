@@ -68,7 +68,16 @@ def matched(x: float, y: float, best: int) -> Candidate:
 
 @pytest.mark.parametrize(
     ("x", "y", "best", "same"),
-    [(2.3, 0.0, 0, True), (2.3, 0.13, 35, True), (2.45, 0.0, 0, False), (2.3, 0.15, 0, False), (2.3, 0.0, 2, False)],
+    [
+        (2.3, 0.0, 0, True),
+        (2.3, 0.0, 1, True),
+        (2.3, 0.0, 35, True),
+        (2.3, 0.0, 34, False),
+        (2.3, 0.13, 35, True),
+        (2.45, 0.0, 0, False),
+        (2.3, 0.15, 0, False),
+        (2.3, 0.0, 2, False),
+    ],
 )
 def test_matches_agree_within_the_object_and_a_neighbouring_bin(x: float, y: float, best: int, same: bool) -> None:
     assert agreeing(matched(2.3, 0.0, 0), matched(x, y, best)) is same

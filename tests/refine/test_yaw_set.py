@@ -129,6 +129,13 @@ def test_a_flat_top_is_allowed_and_its_slopes_are_not():
     assert sum(high - low for low, high in inside) > 60
 
 
+def test_a_bump_on_a_slope_does_not_open_the_slope():
+    curve = 0.8 - 0.01 * np.abs(np.arange(36) - 18.0)
+    curve[15:17] = 0.7705, 0.77
+    allowed = make_yaw_set([math.pi], [0.01], [0.7], curve, BINS, YAW_WEIGHTS)
+    assert not any(math.radians(195) < mode.yaw < math.radians(215) for mode in allowed.modes)
+
+
 def test_modes_that_overlap_are_one_with_the_mixture_s_moments():
     (one,) = merged([YawMode(6.25, 0.02, 0.3), YawMode(0.05, 0.03, 0.7)])
     gap = math.remainder(0.05 - 6.25, 2 * math.pi)
