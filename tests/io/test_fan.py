@@ -162,6 +162,16 @@ def test_coarse_polar_grid_averages(rng):
     assert image.mean() == pytest.approx(0.5, abs=0.01)
 
 
+def test_uneven_cells_are_averaged_only_if_the_smallest_is_coarse(rng):
+    geometry, shape = fan_around(OPENING, NEAR, FAR, 0.005)
+    picture = rng.random(shape, np.float32)
+    edges, azimuth = geometry.range_edges(30), geometry.azimuth(12)
+    split = np.insert(edges, 10, edges[9] + 3 * 0.005)  # one bin of three pixels
+    averaged, _ = fan_to_polar(picture, geometry, order=1, azimuth=azimuth, range_edges=edges)
+    taken, _ = fan_to_polar(picture, geometry, order=1, azimuth=azimuth, range_edges=split)
+    assert averaged.std() < 0.05 < 0.12 < taken.std()
+
+
 def test_coarse_picture_averages(rng):
     image = rng.random((600, 192), np.float32)
     picture, mask, _ = fan_of(image, pixel=0.05)  # a pixel covers 10 bins and 4 to 18 beams
