@@ -22,12 +22,14 @@ from experiments.common.engine import engine
 from experiments.common.frames import VALIDATION_SEED, observed
 from experiments.common.progress import Progress
 from experiments.common.sets import mirrored
-from sonarjax.scene.objects import box, cylinder_arrays, join
+from sonarjax.scene.objects import Arrays, box, cylinder_arrays, join
 
 BRICK_M = (0.16, 0.10, 0.07)
 """Length, width and height of a validation brick [m]: not the test's."""
-SYMMETRIC = ("mug",)
+SYMMETRIC = ("mug", "spool", "tin", "prism", "long box")
 """Objects that are their own mirror image: what is like them is shown twice as often instead."""
+ROUND_FRAMES = 700
+"""Added to the validation seed: the draws of the frames of symmetric objects are not those of the others."""
 SEVERITIES = (0.7, 1.6)
 """Least and largest severity of the devices [1]."""
 EMPTY = 200_000
@@ -122,6 +124,38 @@ def bare_objects() -> dict[str, tuple[sj.Mesh, sj.Mesh]]:
         ),
         "mug": (sj.Mesh.from_arrays(*mug, name="mug"), sj.Mesh.from_arrays(*jug, name="jug")),
     }
+
+
+@cache
+def symmetric_scenes() -> dict[str, Scene]:
+    """Objects that look much the same at several or all yaws, each with another one of about its size."""
+    objects = {
+        "spool": (_two_cylinders((0.10, 0.06), (0.05, 0.14)), _two_cylinders((0.05, 0.14), (0.10, 0.06))),
+        "tin": (cylinder_arrays(0.12, 0.10, 24), _standing(0.21, 0.21, 0.10)),
+        "prism": (_standing(0.13, 0.13, 0.24), _standing(0.13, 0.24, 0.13)),
+        "long box": (_standing(0.24, 0.13, 0.10), _standing(0.24, 0.10, 0.13)),
+    }
+    made = {
+        name: (sj.Mesh.from_arrays(*target, name=name), sj.Mesh.from_arrays(*other, name=f"not a {name}"))
+        for name, (target, other) in objects.items()
+    }
+    return padded_scenes(made)
+
+
+def _two_cylinders(low: tuple[float, float], high: tuple[float, float]) -> Arrays:
+    """One upright cylinder on another, each given by radius and height [m]."""
+    vertices, faces = cylinder_arrays(*high, 20)
+    return join(cylinder_arrays(*low, 20), (vertices + [0, 0, low[1]], faces))
+
+
+def _standing(length: float, width: float, height: float) -> Arrays:
+    """A box on the floor: vertices and triangles."""
+    return box((length, width, height), (0.0, 0.0, height / 2))
+
+
+def symmetric_cases(seed: int, count: int, *, tilts_deg: Sequence[float] = (15.0, 20.0, 25.0)) -> list[Case]:
+    """`count` frames as `validation_cases` draws them, of the objects of `symmetric_scenes`."""
+    return validation_cases(seed + ROUND_FRAMES, count, tilts_deg=tilts_deg, of=symmetric_scenes())
 
 
 def shown_in(name: str, turn: int) -> int:

@@ -114,7 +114,7 @@ class LeanSearch:
         kept = distinct_turns(turns, scores, self.config.apart, self.config.candidates)
         poses = []
         for k in kept:
-            match = Match(entry.bank, scores, step * int(rows[k]) - top, int(columns[k]) - left)
+            match = Match(entry.bank, scores, step * int(rows[k]) - top, int(columns[k]) - left, entry.prepared)
             x, y = search.place(match)
             yaw, z, roll, pitch = self.attitudes[k]
             # A bank's aspect is relative to the bearing at which it was rendered.

@@ -41,6 +41,8 @@ NOT_SEEN = "{}: at no distance inside the sonar's view is any part of it visible
 """Error message; the target's name goes in."""
 KEPT_COMPACT = 4
 """Number of banks that a target of a catalogue keeps: those of the distances used last."""
+NO_CONTRAST = 1e-6
+"""Product of the norms of two templates of mean 0, below which one is constant."""
 MAX_DISTANCES = 1000
 """Most distances of a search (100 m of floor), as each costs a bank."""
 
@@ -98,6 +100,23 @@ class Match(NamedTuple):
     """Range bins by which the best template is shifted from where it was rendered."""
     columns: int
     """Beams by which it is shifted."""
+    matched: PreparedBank | CompactBank
+    """The templates that it was matched by: those of the bank, or echo templates."""
+
+    def own_scores(self) -> np.ndarray:
+        """Match the best template itself with all templates, without a shift (eq. 4).
+
+        These are about the scores of a frame without noise that shows the target at the best yaw: all nearly 1 for a
+        round object.
+
+        Returns:
+            NCC (yaw,) of each template and the best one; 0 for a template without any contrast.
+        """
+        flat = np.asarray(self.matched.templates, np.float32).reshape(len(self.scores), -1)
+        best = flat[self.scores.argmax()]
+        best = best - best.mean()
+        norms = np.sqrt(flat.shape[1]) * flat.std(axis=1) * np.linalg.norm(best)
+        return np.divide(flat @ best, norms, out=np.zeros_like(norms), where=norms > NO_CONTRAST)
 
 
 class _Entry(NamedTuple):
@@ -291,7 +310,7 @@ class TargetSearch:
         best = int(scores.argmax())
         top, left = (int(v) for v in np.asarray(entry.bank.offset))
         scale = self.config.decimation if coarse else 1
-        return Match(entry.bank, scores, scale * int(row[best]) - top, int(column[best]) - left)
+        return Match(entry.bank, scores, scale * int(row[best]) - top, int(column[best]) - left, entry.prepared)
 
     def _small_mask(self, mask: np.ndarray | None) -> np.ndarray | None:
         return None if mask is None else decimated(mask.astype(np.float32), self.config.decimation) == 1

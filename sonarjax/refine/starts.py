@@ -198,22 +198,31 @@ def evidence_of(drawn: Drawn, image: np.ndarray, seen: np.ndarray, mask: np.ndar
 def curve_evidence(in_map: Candidate, in_frame: Candidate | None) -> dict[str, float]:
     """Measure how far the peak of the scores over yaw stands out in map and frame, and its height in the frame.
 
-    `map_rise` and `frame_rise` are the highest score minus the fourth highest. `map_drop` and `frame_drop` are the
-    highest score minus the mean of the two scores 10° before and after it. `frame_peak` is the frame's highest score.
+    `map_rise` and `frame_rise` are the highest score minus the fourth highest. `map_own_rise` and `frame_own_rise` are
+    the same of the best template's own scores (`Match.own_scores`), times the highest score: what a frame of the target
+    would show at best, and nothing for a round one. `map_drop` and `frame_drop` are the highest score minus the mean of
+    the two scores 10° before and after it. `frame_peak` is the frame's highest score.
 
     Args:
         in_map: The match in the map.
         in_frame: The match in the frame; None uses the match in the map instead.
 
     Returns:
-        These five numbers [NCC] by name.
+        These seven numbers [NCC] by name.
     """
-    curves = {"map": in_map.match.scores, "frame": (in_map if in_frame is None else in_frame).match.scores}
-    evidence = {"frame_peak": float(curves["frame"].max())}
-    for name, scores in curves.items():
-        ordered = np.sort(scores)
-        evidence |= {f"{name}_rise": float(ordered[-1] - ordered[-4]), f"{name}_drop": _drop(scores)}
+    matches = {"map": in_map.match, "frame": (in_map if in_frame is None else in_frame).match}
+    evidence = {"frame_peak": float(matches["frame"].scores.max())}
+    for name, match in matches.items():
+        scores, own = match.scores, match.own_scores()
+        evidence |= {f"{name}_rise": _rise(scores), f"{name}_drop": _drop(scores)}
+        evidence[f"{name}_own_rise"] = float(scores.max()) * _rise(own)
     return evidence
+
+
+def _rise(scores: np.ndarray) -> float:
+    """How far the highest of scores (yaw,) stands out: its neighbours share its peak, hence the fourth highest."""
+    ordered = np.sort(scores)
+    return float(ordered[-1] - ordered[-4])
 
 
 def _drop(scores: np.ndarray) -> float:

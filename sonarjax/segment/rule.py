@@ -15,13 +15,18 @@ from sonarjax.io.errors import SonarjaxError
 
 EVIDENCE = (
     "map_fit", "frame_fit", "coarse_fit", "unexplained", "left_over", "map_rise", "frame_rise", "frame_peak",
+    "map_own_rise", "frame_own_rise",
 )  # fmt: skip
-"""What a rule may weigh: the fields of `refine.Evidence`, then three numbers from the score curves over yaw.
+"""What a rule may weigh: the fields of `refine.Evidence`, then five numbers from the score curves over yaw.
 
 `map_rise` is the score of the best yaw bin on the semantic map minus that of the fourth best (its neighbours share its
 peak). `frame_rise` is the same for echo templates on the frame itself, and `frame_peak` is the best bin's score
-there.
+there. `map_own_rise` and `frame_own_rise` are how large the rises would be in a frame without noise: nothing is missing
+where a round object's best yaw does not stand out.
 """
+
+ADDED = ("map_own_rise", "frame_own_rise")
+"""Items that a rule of an earlier version does not have: they then weigh nothing."""
 
 
 @dataclass(frozen=True)
@@ -125,12 +130,13 @@ def read_rule(found: Any, name: str) -> IdentificationRule | None:
 
 
 def _weights(found: Mapping[str, Any]) -> tuple[float, ...]:
-    return tuple(float(found["weights"][key]) for key in EVIDENCE)
+    weights = dict.fromkeys(ADDED, 0.0) | dict(found["weights"])
+    return tuple(float(weights[key]) for key in EVIDENCE)
 
 
 RULES: dict[str, IdentificationRule] = {
     "none": IdentificationRule(
-        weights=(2.724, 7.531, -14.78, 0.5205, -12.22, 27.75, 27.75, -11.96),
+        weights=(2.724, 7.531, -14.78, 0.5205, -12.22, 27.75, 27.75, -11.96, 0.0, 0.0),
         offset=15.58,
         threshold=0.5,
         false_alarms=0.133,

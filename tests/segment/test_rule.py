@@ -10,7 +10,7 @@ import pytest
 
 from sonarjax.io import SonarjaxError
 from sonarjax.segment import EVIDENCE, IdentificationRule
-from sonarjax.segment.rule import Presence, read_rule
+from sonarjax.segment.rule import ADDED, Presence, read_rule
 
 RULE = IdentificationRule(tuple(float(k) for k in range(len(EVIDENCE))), -1.5, 0.4, 0.05)
 PRESENCE = Presence((2.0, *(0.0 for _ in EVIDENCE[1:])), -1.0)
@@ -39,6 +39,16 @@ def test_a_rule_comes_back_from_its_json() -> None:
     for rule in (RULE, with_presence):
         assert read_rule(json.loads(json.dumps(rule.as_json())), "w.safetensors") == rule
     assert read_rule(None, "w.safetensors") is None
+
+
+def test_an_earlier_rule_weighs_what_was_added_by_nothing() -> None:
+    earlier = RULE.as_json()
+    for name in ADDED:
+        del earlier["weights"][name]
+    found = read_rule(earlier, "w.safetensors")
+    assert found is not None and found.weights[-2:] == (0.0, 0.0) and found.weights[:-2] == RULE.weights[:-2]
+    with pytest.raises(SonarjaxError, match="w.safetensors"):
+        read_rule(earlier | {"weights": {name: 1.0 for name in EVIDENCE[1:]}}, "w.safetensors")
 
 
 @pytest.mark.parametrize(
