@@ -13,9 +13,11 @@ import pytest
 import sonarjax as sj
 from sonarjax.io.errors import OutOfViewError
 from sonarjax.match import first_look, search
+from sonarjax.match.compact import CompactBank
 from sonarjax.match.first_look import FirstLook
 from sonarjax.match.lean import LeanSearch, LeanSearchConfig
 from sonarjax.match.search import SearchConfig, TargetSearch, rounded_up
+from sonarjax.refine import Candidate, curve_evidence
 
 SONAR = sj.Sonar.preset("didson-hf", tilt=math.radians(20.0))
 
@@ -74,6 +76,32 @@ def test_coarse_templates_grow_behind_and_to_port_within_the_frame(
     assert padded.shape[1:] == shape
     np.testing.assert_array_equal(padded[:, :50, :20], drawn)
     assert (padded[:, 50:] == 0.5).all() and (padded[:, :, 20:] == 0.5).all()
+
+
+@pytest.mark.parametrize("compact", [False, True])
+def test_own_scores_are_the_correlations_of_the_best_template(compact: bool) -> None:
+    search = TargetSearch(sj.objects.target(), SONAR, SearchConfig(yaw_bins=12), compact=compact)
+    image = np.asarray(sj.render(search.mesh, sj.Pose(x=2.5, yaw=0.9), SONAR).semantic())
+    match = search.find_near(5, image)
+    templates = np.asarray(match.matched.templates, np.float64).reshape(12, -1)
+    known = np.corrcoef(templates)[match.scores.argmax()]
+    np.testing.assert_allclose(match.own_scores(), known, atol=1e-5)
+    flat = match._replace(matched=CompactBank.of(np.full((12, 3, 4), 0.5, np.float32)))
+    assert (flat.own_scores() == 0).all()
+
+
+def test_the_best_yaw_of_a_round_object_cannot_stand_out() -> None:
+    """Even without noise the scores of a drum do not rise, and its own scores say so."""
+    rises = {}
+    for name, mesh in {"drum": sj.objects.concrete_cylinder(0.1, 0.1, sides=12), "pile": sj.objects.target()}.items():
+        found = TargetSearch(mesh, SONAR, SearchConfig(yaw_bins=12))
+        image = np.asarray(sj.render(mesh, sj.Pose(x=2.5, yaw=math.radians(90)), SONAR).semantic())
+        match = found.find_near(5, image)
+        evidence = curve_evidence(Candidate(found, match, *found.place(match)), None)
+        rises[name] = evidence["map_rise"], evidence["map_own_rise"]
+        assert evidence["frame_own_rise"] == evidence["map_own_rise"]  # no other picture was matched
+    assert rises["drum"] == pytest.approx((0.0, 0.0), abs=0.01)
+    assert 0.1 < rises["pile"][0] < rises["pile"][1]  # shifted, other yaws match better: its own scores leave that out
 
 
 def test_a_bank_says_that_its_object_is_out_of_view() -> None:
