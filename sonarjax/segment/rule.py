@@ -136,10 +136,14 @@ def _weights(found: Mapping[str, Any]) -> tuple[float, ...]:
 
 RULES: dict[str, IdentificationRule] = {
     "none": IdentificationRule(
-        weights=(2.724, 7.531, -14.78, 0.5205, -12.22, 27.75, 27.75, -11.96, 0.0, 0.0),
-        offset=15.58,
+        weights=(-0.3161, 6.666, -11.85, -0.7573, -8.863, 31.74, 31.74, -3.4, -9.635, -9.635),
+        offset=11.47,
         threshold=0.5,
-        false_alarms=0.133,
+        false_alarms=0.150,
+        presence=Presence(
+            weights=(-0.3177, 5.078, -6.288, 0.3499, -11.56, 0.02899, 0.02888, 5.822, -0.9227, -0.9227),
+            offset=7.722,
+        ),
     )
 }
 """Rules of segmenters that have no weights file, by name; from experiments/fit_decision.py."""
