@@ -199,8 +199,8 @@ def curve_evidence(in_map: Candidate, in_frame: Candidate | None) -> dict[str, f
     """Measure how far the peak of the scores over yaw stands out in map and frame, and its height in the frame.
 
     `map_rise` and `frame_rise` are the highest score minus the fourth highest. `map_own_rise` and `frame_own_rise` are
-    the same of the best template's own scores (`Match.own_scores`), times the highest score: what a frame of the target
-    would show at best, and nothing for a round one. `map_drop` and `frame_drop` are the highest score minus the mean of
+    the same of the best template's own scores (`Match.own_scores`), times the highest score: about how large the rise
+    of this target can be, 0 for a round one. `map_drop` and `frame_drop` are the highest score minus the mean of
     the two scores 10° before and after it. `frame_peak` is the frame's highest score.
 
     Args:

@@ -21,8 +21,7 @@ EVIDENCE = (
 
 `map_rise` is the score of the best yaw bin on the semantic map minus that of the fourth best (its neighbours share its
 peak). `frame_rise` is the same for echo templates on the frame itself, and `frame_peak` is the best bin's score
-there. `map_own_rise` and `frame_own_rise` are how large the rises would be in a frame without noise: nothing is missing
-where a round object's best yaw does not stand out.
+there. `map_own_rise` and `frame_own_rise` are about how large the rises can be for this target: 0 for a round one.
 """
 
 ADDED = ("map_own_rise", "frame_own_rise")
