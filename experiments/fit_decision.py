@@ -12,9 +12,9 @@ objects, and did not carry over (docs/outside.md). What is found stands in the w
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+import math
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize
@@ -43,7 +43,8 @@ from sonarjax.io import SonarjaxError
 from sonarjax.io.safetensors import read_safetensors, write_safetensors
 from sonarjax.refine import ErrorBar
 from sonarjax.refine.errorbar import log_drop
-from sonarjax.segment import EVIDENCE
+from sonarjax.segment import EVIDENCE, IdentificationRule
+from sonarjax.segment.rule import RISES, Logistic
 
 THRESHOLD = 0.5
 """Least probability of an identified target: both errors count alike [1]."""
@@ -99,6 +100,8 @@ class Measured:
     """Evidence (frame, number), in the order of `EVIDENCE`."""
     drops: np.ndarray
     """`map_drop` and `frame_drop` (frame, 2)."""
+    own_rise: np.ndarray
+    """How far the target's best yaw can stand out [NCC]."""
     own: np.ndarray
     """Whether the target is shown."""
     error_deg: np.ndarray
@@ -131,11 +134,10 @@ def run(settings: Settings, job: Job) -> Report:
     sought, odd = np.array([case.sought for case in cases]), np.array([case.odd for case in cases])
     job.arrays("measured", **vars(values), sought=sought, shown=[case.shown for case in cases], odd=odd)
     plain, judged, filled = shown == OPEN, np.isin(shown, (OPEN, ROUND)), np.isin(shown, (OPEN, ROUND, WALLED))
-    odds, weights, offset = fit_logistic(values.evidence[judged], values.own[judged])
-    there, presence, start = fit_logistic(values.evidence, filled)
-    probability = score(odds, there, values.evidence)
+    rule = fit_rule(values, plain, judged, filled)
+    probability = score(rule, values)
     bar = fit_error_bar(values.only(plain))
-    left_out = _left_out(values, judged, filled, sought)
+    left_out = _left_out(values, plain, judged, filled, sought)
     std = np.degrees(_std(bar, values))
     families = {OPEN: plain, "odd devices": plain & odd, "the family": plain & ~odd}
     families |= {name: shown == name for name in (ROUND, WALLED)}
@@ -152,13 +154,11 @@ def run(settings: Settings, job: Job) -> Report:
             alarms = {"false_alarms": _alarms(probability[chosen]), "left_out_alarms": _alarms(left_out[chosen])}
             rows.append({"frames": name, "count": int(chosen.sum()), **alarms})
     false = _alarms(probability[judged & ~values.own])
-    rule = {"weights": dict(zip(EVIDENCE, weights, strict=True)), "offset": offset}
-    rule |= {"threshold": THRESHOLD, "false_alarms": false}
-    rule |= {"presence": {"weights": dict(zip(EVIDENCE, presence, strict=True)), "offset": start}}
+    rule = replace(rule, false_alarms=false)
     if settings.into:
         arrays, about = read_safetensors(settings.into)
-        write_safetensors(settings.into, arrays, about | {"rule": rule})
-    return {"rule": rule, "error_bar": bar._asdict(), "rows": rows}
+        write_safetensors(settings.into, arrays, about | {"rule": rule.as_json()})
+    return {"rule": rule.as_json(), "error_bar": bar._asdict(), "rows": rows}
 
 
 def _draw(settings: Settings, seed: int, of: dict[str, Scene]) -> dict[str, list[Case]]:
@@ -181,15 +181,42 @@ def _measure(cases: list[Case], of: dict[str, Scene], segmenter: str) -> dict[st
         result = made[case.sought](case.tilt_deg)(case.image, threshold=0.5)
         assert result.evidence is not None
         row = [[result.evidence[name] for name in names] for names in (EVIDENCE, ("map_drop", "frame_drop"))]
-        row += [case.is_target, yaw_error_deg(result.yaw, case.yaw)]  # NaN where nothing is shown
+        row += [
+            result.evidence["own_rise"],
+            case.is_target,
+            yaw_error_deg(result.yaw, case.yaw),
+        ]  # NaN where nothing is shown
         row += [np.degrees(result.evidence["curvature_std"]), result.score_bank, result.score_refined]
         for name, value in zip(found, row, strict=True):
             found[name].append(value)
     return found
 
 
-def fit_logistic(evidence: np.ndarray, own: np.ndarray) -> tuple[Callable[[Any], Any], list[float], float]:
-    """Log-odds of the target as a function of evidence (..., number), their weights and their offset.
+def fit_rule(values: Measured, plain: np.ndarray, judged: np.ndarray, filled: np.ndarray) -> IdentificationRule:
+    """The rule that is fitted to frames (frame,); its false alarms are not known yet.
+
+    The rule for targets is fitted to the `plain` frames, that for flat ones, which leaves out the rises, to the
+    `judged` frames, and that for empty frames to all; `filled` frames show an object.
+    """
+    kept = [k for k, name in enumerate(EVIDENCE) if name not in RISES]
+    target = fit_logistic(values.evidence[plain], values.own[plain])
+    few = fit_logistic(values.evidence[judged][:, kept], values.own[judged])
+    weights = dict.fromkeys(EVIDENCE, 0.0) | dict(zip((EVIDENCE[k] for k in kept), few.weights, strict=True))
+    flat = Logistic(tuple(weights.values()), few.offset)
+    return IdentificationRule(*target, THRESHOLD, math.nan, Logistic(*fit_logistic(values.evidence, filled)), flat)
+
+
+class Fitted(NamedTuple):
+    """Log-odds that are linear in evidence."""
+
+    weights: tuple[float, ...]
+    """Weight of each number of the evidence."""
+    offset: float
+    """The log-odds where all are 0."""
+
+
+def fit_logistic(evidence: np.ndarray, own: np.ndarray) -> Fitted:
+    """The log-odds of the target that evidence (frame, number) gives best.
 
     Targets and others count alike, however many there are of each.
     """
@@ -203,13 +230,13 @@ def fit_logistic(evidence: np.ndarray, own: np.ndarray) -> tuple[Callable[[Any],
 
     beta = minimize(loss, np.zeros(evidence.shape[1] + 1)).x
     weights = beta[:-1] / std
-    offset = float(beta[-1] - weights @ mean)
-    return lambda v: v @ weights + offset, [float(w) for w in weights], offset
+    return Fitted(tuple(float(w) for w in weights), float(beta[-1] - weights @ mean))
 
 
-def score(target: Callable[[Any], Any], presence: Callable[[Any], Any], evidence: np.ndarray) -> np.ndarray:
-    """The score (frame,) of evidence (frame, number): the smaller of both probabilities, given by their log-odds."""
-    return 1 / (1 + np.exp(-np.minimum(target(evidence), presence(evidence))))
+def score(rule: IdentificationRule, values: Measured) -> np.ndarray:
+    """The rule's probability (frame,) that the target is shown."""
+    rows = zip(values.evidence, values.own_rise, strict=True)
+    return np.array([rule.probability(dict(zip(EVIDENCE, row, strict=True)) | {"own_rise": own}) for row, own in rows])
 
 
 def _alarms(probability: np.ndarray) -> float:
@@ -250,18 +277,16 @@ def _std(bar: ErrorBar, values: Measured) -> np.ndarray:
     return bar.std(np.radians(values.std_deg), values.drops[:, 0], values.drops[:, 1], left_over)
 
 
-def _left_out(values: Measured, judged: np.ndarray, filled: np.ndarray, sought: np.ndarray) -> np.ndarray:
-    """Scores (frame,) by a rule that was fitted without the object that is sought.
-
-    The rule for targets is fitted to the `judged` frames, that for empty frames to all; `filled` frames show an object.
-    """
+def _left_out(
+    values: Measured, plain: np.ndarray, judged: np.ndarray, filled: np.ndarray, sought: np.ndarray
+) -> np.ndarray:
+    """Scores (frame,) by a rule that was fitted without the object that is sought, otherwise as in `fit_rule`."""
     scores, names = np.zeros(len(sought)), np.unique(sought)
     for name in names:
         inside = sought == name
         known = ~inside if len(names) > 1 else inside
-        target = fit_logistic(values.evidence[known & judged], values.own[known & judged])[0]
-        presence = fit_logistic(values.evidence[known], filled[known])[0]
-        scores[inside] = score(target, presence, values.evidence[inside])
+        rule = fit_rule(values.only(known), plain[known], judged[known], filled[known])
+        scores[inside] = score(rule, values.only(inside))
     return scores
 
 
@@ -290,14 +315,15 @@ def _row(
 def table(report: Report) -> str:
     """What is to be copied, and what it reaches."""
     rule = report["rule"]
-    weights = ", ".join(f"{name} {value:.4g}" for name, value in rule["weights"].items())
-    presence = ", ".join(f"{name} {value:.4g}" for name, value in rule["presence"]["weights"].items())
+    parts = {"weights": rule} | {name: rule[name] for name in ("flat", "presence")}
+    said = [
+        f"{name}: {', '.join(f'{item} {value:.4g}' for item, value in part['weights'].items())}; offset "
+        f"{part['offset']:.4g}"
+        for name, part in parts.items()
+    ]
     bar = ", ".join(f"{name} {value:.4g}" for name, value in report["error_bar"].items())
-    return (
-        f"weights: {weights}\noffset {rule['offset']:.4g}, threshold {rule['threshold']:.4g}, false alarms "
-        f"{rule['false_alarms']:.3f}\npresence: {presence}\noffset {rule['presence']['offset']:.4g}\n"
-        f"error bar: {bar}\n\n{columns(report['rows'], HEADS)}"
-    )
+    said += [f"threshold {rule['threshold']:.4g}, false alarms {rule['false_alarms']:.3f}", f"error bar: {bar}"]
+    return "\n".join(said) + f"\n\n{columns(report['rows'], HEADS)}"
 
 
 if __name__ == "__main__":

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -17,7 +19,7 @@ RNG = np.random.default_rng(7)
 
 def measured(own: np.ndarray, **values: np.ndarray) -> Measured:
     count = len(own)
-    plain = {name: np.zeros(count) for name in ("error_deg", "std_deg", "bank", "refined")}
+    plain = {name: np.zeros(count) for name in ("own_rise", "error_deg", "std_deg", "bank", "refined")}
     return Measured(**({"evidence": np.zeros((count, 2)), "drops": np.zeros((count, 2)), "own": own} | plain | values))
 
 
@@ -31,7 +33,7 @@ def test_the_logistic_fit_finds_the_log_odds_it_was_drawn_from() -> None:
     evidence = RNG.normal(size=(20000, 2)) * [1.0, 0.1]
     odds = 1.5 * evidence[:, 0] - 20.0 * evidence[:, 1]
     own = RNG.random(len(odds)) < 1 / (1 + np.exp(-odds))
-    _, weights, offset = fit_decision.fit_logistic(evidence, own)
+    weights, offset = fit_decision.fit_logistic(evidence, own)
     assert weights == pytest.approx([1.5, -20.0], rel=0.08)
     assert offset == pytest.approx(0.0, abs=0.08)
 
@@ -83,7 +85,25 @@ def test_a_score_is_no_higher_than_the_probability_that_anything_is_shown() -> N
     evidence[40:, :2] = 0.2 + 0.05 * RNG.normal(size=(20, 2))
     own, filled = np.arange(40) % 2 == 0, np.arange(60) < 40
     evidence[:40, 3] = np.where(own, 0.1, 0.4) + 0.02 * RNG.normal(size=40)
-    target = fit_decision.fit_logistic(evidence[filled], own)[0]
-    presence = fit_decision.fit_logistic(evidence, filled)[0]
-    found = fit_decision.score(target, presence, evidence) >= fit_decision.THRESHOLD
-    assert (target(evidence[~filled]) > 0).all() and (found[filled] == own).all() and not found[~filled].any()
+    given = measured(np.append(own, np.zeros(20, bool)), evidence=evidence, own_rise=np.ones(60))
+    rule = fit_decision.fit_rule(given, filled, filled, filled)
+    found = fit_decision.score(rule, given) >= fit_decision.THRESHOLD
+    alone = fit_decision.score(replace(rule, presence=None), given) >= fit_decision.THRESHOLD
+    assert alone[~filled].all() and (found[filled] == own).all() and not found[~filled].any()
+
+
+def test_symmetric_targets_are_judged_without_the_rises() -> None:
+    """The rises tell targets from others where they can, the fit to the map does everywhere."""
+    count = 400
+    own, flat = np.arange(count) % 2 == 0, np.arange(count) >= count // 2
+    evidence = 0.05 * RNG.normal(size=(count, len(EVIDENCE)))
+    evidence[:, 0] += np.where(own, 0.10, 0.0)
+    evidence[:, 5:7] += np.where(own & ~flat, 0.3, 0.0)[:, None]
+    given = measured(own, evidence=evidence, own_rise=np.where(flat, 0.0, 0.4))
+    every, filled = np.ones(count, bool), np.arange(count) % 10 > 0
+    rule = fit_decision.fit_rule(given, ~flat, every, filled)
+    assert rule.flat is not None and rule.flat.weights[5:7] == (0.0, 0.0)
+    found = fit_decision.score(replace(rule, presence=None), given) >= fit_decision.THRESHOLD
+    missed = fit_decision.score(replace(rule, presence=None, flat=None), given) < fit_decision.THRESHOLD
+    assert (found == own)[~flat].mean() > 0.97 and (found == own)[flat].mean() > 0.75
+    assert missed[own & flat].mean() > 0.8

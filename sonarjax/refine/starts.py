@@ -198,24 +198,22 @@ def evidence_of(drawn: Drawn, image: np.ndarray, seen: np.ndarray, mask: np.ndar
 def curve_evidence(in_map: Candidate, in_frame: Candidate | None) -> dict[str, float]:
     """Measure how far the peak of the scores over yaw stands out in map and frame, and its height in the frame.
 
-    `map_rise` and `frame_rise` are the highest score minus the fourth highest. `map_own_rise` and `frame_own_rise` are
-    the same of the best template's own scores (`Match.own_scores`), times the highest score: about how large the rise
-    of this target can be, 0 for a round one. `map_drop` and `frame_drop` are the highest score minus the mean of
-    the two scores 10° before and after it. `frame_peak` is the frame's highest score.
+    `map_rise` and `frame_rise` are the highest score minus the fourth highest. `own_rise` is the same of the own scores
+    of the frame's best template (`Match.own_scores`): how far the best yaw of this target can stand out, 0 for a round
+    one. `map_drop` and `frame_drop` are the highest score minus the mean of the two scores 10° before and after it.
+    `frame_peak` is the frame's highest score.
 
     Args:
         in_map: The match in the map.
         in_frame: The match in the frame; None uses the match in the map instead.
 
     Returns:
-        These seven numbers [NCC] by name.
+        These six numbers [NCC] by name.
     """
-    matches = {"map": in_map.match, "frame": (in_map if in_frame is None else in_frame).match}
-    evidence = {"frame_peak": float(matches["frame"].scores.max())}
-    for name, match in matches.items():
-        scores, own = match.scores, match.own_scores()
+    frame = (in_map if in_frame is None else in_frame).match
+    evidence = {"frame_peak": float(frame.scores.max()), "own_rise": _rise(frame.own_scores())}
+    for name, scores in {"map": in_map.match.scores, "frame": frame.scores}.items():
         evidence |= {f"{name}_rise": _rise(scores), f"{name}_drop": _drop(scores)}
-        evidence[f"{name}_own_rise"] = float(scores.max()) * _rise(own)
     return evidence
 
 

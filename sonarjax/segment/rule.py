@@ -1,7 +1,8 @@
 """The decision about a refined match: logistic combinations of evidence, fitted to validation frames.
 
-One tells the target from other objects, the other tells objects from bare floor and empty tanks. A frame shows the
-target only if both say so, and the score is the smaller of both probabilities.
+One tells the target from other objects, another tells objects from bare floor and empty tanks. A frame shows the target
+only if both say so, and the score is the smaller of both probabilities. For a target that looks the same at many yaws,
+a third takes the place of the first.
 """
 
 from __future__ import annotations
@@ -15,45 +16,58 @@ from sonarjax.io.errors import SonarjaxError
 
 EVIDENCE = (
     "map_fit", "frame_fit", "coarse_fit", "unexplained", "left_over", "map_rise", "frame_rise", "frame_peak",
-    "map_own_rise", "frame_own_rise",
 )  # fmt: skip
-"""What a rule may weigh: the fields of `refine.Evidence`, then five numbers from the score curves over yaw.
+"""What a rule may weigh: the fields of `refine.Evidence`, then three numbers from the score curves over yaw.
 
 `map_rise` is the score of the best yaw bin on the semantic map minus that of the fourth best (its neighbours share its
 peak). `frame_rise` is the same for echo templates on the frame itself, and `frame_peak` is the best bin's score
-there. `map_own_rise` and `frame_own_rise` are about how large the rises can be for this target: 0 for a round one.
+there.
 """
+RISES = ("map_rise", "frame_rise")
+"""The items that say nothing about a round target, whose best yaw cannot stand out."""
+FULL_RISE = 0.15
+"""From this `own_rise` on, the rises count fully [NCC]; at 0 not at all.
 
-ADDED = ("map_own_rise", "frame_own_rise")
-"""Items that a rule of an earlier version does not have: they then weigh nothing."""
+`own_rise` is how far the target's best yaw can stand out: the rise of its best template's own scores.
+"""
 
 
 @dataclass(frozen=True)
-class Presence:
-    """The probability that a frame shows any object, rather than nothing but floor and noise."""
+class Logistic:
+    """A probability whose log-odds are linear in the evidence."""
 
     weights: tuple[float, ...]
     """Weight of each item of `EVIDENCE` in the log-odds."""
     offset: float
     """The log-odds if all items are 0."""
 
-    def probability(self, evidence: Mapping[str, float]) -> float:
-        """Compute the probability that an object is shown.
+    def odds(self, evidence: Mapping[str, float]) -> float:
+        """Compute the log-odds.
 
         Args:
             evidence: Value of each item of `EVIDENCE`, by name; other names are ignored.
 
         Returns:
-            Probability from 0 to 1, if frames with and without an object are equally frequent; 0 if an item is not
-            finite.
+            The log-odds; not finite if an item is not.
         """
-        return _logistic(self.weights, self.offset, evidence)
+        return self.offset + sum(w * evidence[name] for w, name in zip(self.weights, EVIDENCE, strict=True))
+
+    def probability(self, evidence: Mapping[str, float]) -> float:
+        """Compute the probability.
+
+        Args:
+            evidence: As in `odds`.
+
+        Returns:
+            Probability from 0 to 1; 0 if an item is not finite.
+        """
+        return _probability(self.odds(evidence))
 
     def as_json(self) -> dict[str, Any]:
         """Convert to JSON types.
 
         Returns:
-            What is stored under `presence` in a rule.
+            The weights by name, and the offset.
         """
         return {"weights": dict(zip(EVIDENCE, self.weights, strict=True)), "offset": self.offset}
 
@@ -70,20 +84,36 @@ class IdentificationRule:
     """Least probability of an identified target [1]."""
     false_alarms: float
     """Share of other objects among the validation frames that were identified at that threshold [1]."""
-    presence: Presence | None = None
-    """Whether any object is shown; None if that was never fitted."""
+    presence: Logistic | None = None
+    """That any object is shown, rather than nothing but floor and noise, if both are equally frequent; None if that
+    was never fitted."""
+    flat: Logistic | None = None
+    """That an object shown is the target, by all items but `RISES`: for targets that look the same at all yaws. None
+    judges them like other targets."""
+
+    @property
+    def target(self) -> Logistic:
+        """The probability that an object shown is the target, if targets and other objects are equally frequent."""
+        return Logistic(self.weights, self.offset)
 
     def probability(self, evidence: Mapping[str, float]) -> float:
         """Compute the probability that the target is shown.
 
+        The log-odds of `flat` and `target` are mixed by how far the target's best yaw can stand out: all `flat` where
+        `own_rise` is 0, all `target` from `FULL_RISE` on.
+
         Args:
-            evidence: Value of each item of `EVIDENCE`, by name; other names are ignored.
+            evidence: Value of each item of `EVIDENCE`, and of `own_rise` if there is a `flat`; other names are ignored.
 
         Returns:
-            The smaller of two probabilities from 0 to 1: that an object shown is the target, if targets and other
-            objects are equally frequent, and that any object is shown (`Presence`). 0 if an item is not finite.
+            The smaller of two probabilities from 0 to 1: that of the target, and `presence`. 0 if an item is not
+            finite.
         """
-        target = _logistic(self.weights, self.offset, evidence)
+        odds = self.target.odds(evidence)
+        if self.flat is not None:
+            full = min(max(evidence["own_rise"] / FULL_RISE, 0.0), 1.0)
+            odds = full * odds + (1 - full) * self.flat.odds(evidence)
+        target = _probability(odds)
         return target if self.presence is None else min(target, self.presence.probability(evidence))
 
     def as_json(self) -> dict[str, Any]:
@@ -92,18 +122,17 @@ class IdentificationRule:
         Returns:
             The rule as stored under `rule` in the metadata of a weights file.
         """
+        parts = {"presence": self.presence, "flat": self.flat}
         return {
-            "weights": dict(zip(EVIDENCE, self.weights, strict=True)),
-            "offset": self.offset,
+            **self.target.as_json(),
             "threshold": self.threshold,
             "false_alarms": self.false_alarms,
-            **({} if self.presence is None else {"presence": self.presence.as_json()}),
+            **{name: part.as_json() for name, part in parts.items() if part is not None},
         }
 
 
-def _logistic(weights: tuple[float, ...], offset: float, evidence: Mapping[str, float]) -> float:
-    """The probability for log-odds that are linear in the evidence; 0 if they are not finite."""
-    odds = offset + sum(w * evidence[name] for w, name in zip(weights, EVIDENCE, strict=True))
+def _probability(odds: float) -> float:
+    """The probability for log-odds; 0 if they are not finite."""
     return 1 / (1 + math.exp(-min(max(odds, -50.0), 50.0))) if math.isfinite(odds) else 0.0
 
 
@@ -116,31 +145,30 @@ def read_rule(found: Any, name: str) -> IdentificationRule | None:
     if found is None:
         return None
     try:
-        offset, threshold, alarms = (float(found[key]) for key in ("offset", "threshold", "false_alarms"))
-        there = found.get("presence")
-        presence = None if there is None else Presence(_weights(there), float(there["offset"]))
-        rule = IdentificationRule(_weights(found), offset, threshold, alarms, presence)
+        threshold, alarms = (float(found[key]) for key in ("threshold", "false_alarms"))
+        presence, flat = (None if (part := found.get(key)) is None else _read(part) for key in ("presence", "flat"))
+        target = _read(found)
+        rule = IdentificationRule(target.weights, target.offset, threshold, alarms, presence, flat)
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise SonarjaxError(f"{name}: metadata: expected a `rule` with weights for {', '.join(EVIDENCE)}") from error
-    parts = (rule,) if rule.presence is None else (rule, rule.presence)
+    parts = [part for part in (rule.target, rule.presence, rule.flat) if part is not None]
     if not all(math.isfinite(v) for part in parts for v in (*part.weights, part.offset, rule.threshold)):
         raise SonarjaxError(f"{name}: metadata: `rule` holds values that are not finite")
     return rule
 
 
-def _weights(found: Mapping[str, Any]) -> tuple[float, ...]:
-    weights = dict.fromkeys(ADDED, 0.0) | dict(found["weights"])
-    return tuple(float(weights[key]) for key in EVIDENCE)
+def _read(found: Mapping[str, Any]) -> Logistic:
+    return Logistic(tuple(float(found["weights"][key]) for key in EVIDENCE), float(found["offset"]))
 
 
 RULES: dict[str, IdentificationRule] = {
     "none": IdentificationRule(
-        weights=(-0.3161, 6.666, -11.85, -0.7573, -8.863, 31.74, 31.74, -3.4, -9.635, -9.635),
+        weights=(-0.3161, 6.666, -11.85, -0.7573, -8.863, 31.74, 31.74, -3.4),
         offset=11.47,
         threshold=0.5,
         false_alarms=0.150,
-        presence=Presence(
-            weights=(-0.3177, 5.078, -6.288, 0.3499, -11.56, 0.02899, 0.02888, 5.822, -0.9227, -0.9227),
+        presence=Logistic(
+            weights=(-0.3177, 5.078, -6.288, 0.3499, -11.56, 0.02899, 0.02888, 5.822),
             offset=7.722,
         ),
     )

@@ -10,10 +10,10 @@ import pytest
 
 from sonarjax.io import SonarjaxError
 from sonarjax.segment import EVIDENCE, IdentificationRule
-from sonarjax.segment.rule import ADDED, Presence, read_rule
+from sonarjax.segment.rule import FULL_RISE, Logistic, read_rule
 
 RULE = IdentificationRule(tuple(float(k) for k in range(len(EVIDENCE))), -1.5, 0.4, 0.05)
-PRESENCE = Presence((2.0, *(0.0 for _ in EVIDENCE[1:])), -1.0)
+PRESENCE = Logistic((2.0, *(0.0 for _ in EVIDENCE[1:])), -1.0)
 
 
 def test_probability_is_logistic_in_the_evidence() -> None:
@@ -36,19 +36,21 @@ def test_the_target_is_no_likelier_than_that_anything_is_shown() -> None:
 
 def test_a_rule_comes_back_from_its_json() -> None:
     with_presence = replace(RULE, presence=PRESENCE)
-    for rule in (RULE, with_presence):
+    for rule in (RULE, with_presence, replace(with_presence, flat=replace(PRESENCE, offset=2.0))):
         assert read_rule(json.loads(json.dumps(rule.as_json())), "w.safetensors") == rule
     assert read_rule(None, "w.safetensors") is None
 
 
-def test_an_earlier_rule_weighs_what_was_added_by_nothing() -> None:
-    earlier = RULE.as_json()
-    for name in ADDED:
-        del earlier["weights"][name]
-    found = read_rule(earlier, "w.safetensors")
-    assert found is not None and found.weights[-2:] == (0.0, 0.0) and found.weights[:-2] == RULE.weights[:-2]
-    with pytest.raises(SonarjaxError, match="w.safetensors"):
-        read_rule(earlier | {"weights": {name: 1.0 for name in EVIDENCE[1:]}}, "w.safetensors")
+def test_a_flat_target_is_judged_by_its_own_weights() -> None:
+    flat = Logistic((1.0, 2.0, *(0.0 for _ in EVIDENCE[2:])), 0.25)
+    rule = replace(RULE, flat=flat)
+    evidence = dict.fromkeys(EVIDENCE, 0.1)
+    odds = RULE.target.odds(evidence), flat.odds(evidence)
+    assert odds[1] == pytest.approx(0.55)
+    for own_rise, share in ((0.0, 0.0), (0.25 * FULL_RISE, 0.25), (FULL_RISE, 1.0), (0.9, 1.0)):
+        known = 1 / (1 + math.exp(-(share * odds[0] + (1 - share) * odds[1])))
+        assert rule.probability(evidence | {"own_rise": own_rise}) == pytest.approx(known)
+    assert rule.probability(evidence | {"own_rise": math.nan}) == 0.0
 
 
 @pytest.mark.parametrize(
@@ -62,6 +64,7 @@ def test_an_earlier_rule_weighs_what_was_added_by_nothing() -> None:
         "rule",
         RULE.as_json() | {"presence": {"weights": {}, "offset": 0.0}},
         RULE.as_json() | {"presence": 1.0},
+        RULE.as_json() | {"flat": {"weights": {}, "offset": 0.0}},
         RULE.as_json() | {"presence": PRESENCE.as_json() | {"offset": math.nan}},
     ],
 )
