@@ -163,13 +163,17 @@ def _read(found: Mapping[str, Any]) -> Logistic:
 
 RULES: dict[str, IdentificationRule] = {
     "none": IdentificationRule(
-        weights=(-0.3161, 6.666, -11.85, -0.7573, -8.863, 31.74, 31.74, -3.4),
-        offset=11.47,
+        weights=(5.604, 4.517, -16.27, 0.1025, -13.71, 27.41, 27.41, -13.02),
+        offset=18.9,
         threshold=0.5,
-        false_alarms=0.150,
+        false_alarms=0.163,
         presence=Logistic(
-            weights=(-0.3177, 5.078, -6.288, 0.3499, -11.56, 0.02899, 0.02888, 5.822),
-            offset=7.722,
+            weights=(-0.2783, 4.995, -6.275, 0.3451, -11.67, -1.141, -1.141, 5.593),
+            offset=7.833,
+        ),
+        flat=Logistic(
+            weights=(3.012, 12.36, -17.93, -0.901, -10.35, 0.0, 0.0, -7.915),
+            offset=13.95,
         ),
     )
 }
