@@ -3,18 +3,18 @@
 python -m experiments.fit_decision [--segmenter FILE --into FILE] [--preset smoke] [--help]
 
 A logistic regression weighs the evidence of `sonarjax.refine.evidence`, its AUC also given with each object left out of
-the fit in turn; one half is its threshold. Another one tells frames with an object from frames without, on open floor
-and in tanks. Error bars are those under which the errors are most likely, scaled to hold 68 % of them. Validation
-frames show other objects and other devices than any test: see `experiments.common.validation`. `--piles` fits to more
-objects, and did not carry over (docs/outside.md). What is found stands in the weights file's metadata,
-`sonarjax.segment.rule` and `sonarjax.refine.errorbar`.
+the fit in turn; one half is its threshold. Symmetric targets have weights of their own. Another regression tells frames
+with an object from frames without, on open floor and in tanks. Error bars are those under which the errors are most
+likely, scaled to hold 68 % of them. Validation frames show other objects and other devices than any test: see
+`experiments.common.validation`. `--piles` fits to more objects, and did not carry over (docs/outside.md). What is found
+stands in the weights file's metadata, `sonarjax.segment.rule` and `sonarjax.refine.errorbar`.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
@@ -200,23 +200,14 @@ def fit_rule(values: Measured, plain: np.ndarray, judged: np.ndarray, filled: np
     """
     kept = [k for k, name in enumerate(EVIDENCE) if name not in RISES]
     target = fit_logistic(values.evidence[plain], values.own[plain])
-    few = fit_logistic(values.evidence[judged][:, kept], values.own[judged])
-    weights = dict.fromkeys(EVIDENCE, 0.0) | dict(zip((EVIDENCE[k] for k in kept), few.weights, strict=True))
-    flat = Logistic(tuple(weights.values()), few.offset)
+    few, offset = fit_logistic(values.evidence[judged][:, kept], values.own[judged])
+    weights = dict.fromkeys(EVIDENCE, 0.0) | dict(zip((EVIDENCE[k] for k in kept), few, strict=True))
+    flat = Logistic(tuple(weights.values()), offset)
     return IdentificationRule(*target, THRESHOLD, math.nan, Logistic(*fit_logistic(values.evidence, filled)), flat)
 
 
-class Fitted(NamedTuple):
-    """Log-odds that are linear in evidence."""
-
-    weights: tuple[float, ...]
-    """Weight of each number of the evidence."""
-    offset: float
-    """The log-odds where all are 0."""
-
-
-def fit_logistic(evidence: np.ndarray, own: np.ndarray) -> Fitted:
-    """The log-odds of the target that evidence (frame, number) gives best.
+def fit_logistic(evidence: np.ndarray, own: np.ndarray) -> tuple[tuple[float, ...], float]:
+    """The weights and the offset of the log-odds of the target in evidence (frame, number).
 
     Targets and others count alike, however many there are of each.
     """
@@ -230,7 +221,7 @@ def fit_logistic(evidence: np.ndarray, own: np.ndarray) -> Fitted:
 
     beta = minimize(loss, np.zeros(evidence.shape[1] + 1)).x
     weights = beta[:-1] / std
-    return Fitted(tuple(float(w) for w in weights), float(beta[-1] - weights @ mean))
+    return tuple(float(w) for w in weights), float(beta[-1] - weights @ mean)
 
 
 def score(rule: IdentificationRule, values: Measured) -> np.ndarray:
