@@ -75,4 +75,4 @@ def test_a_constant_frame_is_left_over_whole() -> None:
     assert evidence["left_over"] == pytest.approx(1.0, abs=1e-6)
     rule = load_segmenter().rule
     assert rule is not None
-    assert rule.probability(evidence | dict.fromkeys(("map_rise", "frame_rise", "frame_peak"), 0.01)) < 0.2
+    assert rule.probability(evidence | dict.fromkeys(("map_rise", "frame_rise", "frame_peak", "own_rise"), 0.01)) < 0.2
