@@ -54,7 +54,7 @@ ASTRAY_DEG = 30.0
 """Yaw errors beyond it are of another hypothesis: no error bar is fitted to them."""
 BAR_RIDGE = 2.0
 """Weight of the squared coefficients of what error bars are made of, standardised [1]."""
-OPEN, ROUND, WALLED = "any device", "symmetric objects", "walls in view"
+OPEN, SYMMETRIC, WALLED = "any device", "symmetric objects", "walls in view"
 """Frames of an object, on open floor and in a tank."""
 FLOOR, TANKS = "bare floor", "tanks without an object"
 """Frames of neither."""
@@ -133,21 +133,21 @@ def run(settings: Settings, job: Job) -> Report:
     values = Measured(**{name: np.asarray(v, bool if name == "own" else float) for name, v in found.items()})
     sought, odd = np.array([case.sought for case in cases]), np.array([case.odd for case in cases])
     job.arrays("measured", **vars(values), sought=sought, shown=[case.shown for case in cases], odd=odd)
-    plain, judged, filled = shown == OPEN, np.isin(shown, (OPEN, ROUND)), np.isin(shown, (OPEN, ROUND, WALLED))
+    plain, judged, filled = shown == OPEN, np.isin(shown, (OPEN, SYMMETRIC)), np.isin(shown, (OPEN, SYMMETRIC, WALLED))
     rule = fit_rule(values, plain, judged, filled)
     probability = score(rule, values)
     bar = fit_error_bar(values.only(plain))
     left_out = _left_out(values, plain, judged, filled, sought)
     std = np.degrees(_std(bar, values))
     families = {OPEN: plain, "odd devices": plain & odd, "the family": plain & ~odd}
-    families |= {name: shown == name for name in (ROUND, WALLED)}
+    families |= {name: shown == name for name in (SYMMETRIC, WALLED)}
     rows = [
         {"frames": name} | _row(values, probability, left_out, std, chosen)
         for name, chosen in families.items()
         if values.own[chosen].any() and not values.own[chosen].all()
     ]
     for row in rows:
-        if row["frames"] == ROUND:  # several of their yaws are right, so none can be far off
+        if row["frames"] == SYMMETRIC:  # `yaw_error_deg` does not know their symmetry
             row.update(dict.fromkeys(YAW_COLUMNS))
     for name in (FLOOR, TANKS):
         if (chosen := shown == name).any():
@@ -166,7 +166,7 @@ def _draw(settings: Settings, seed: int, of: dict[str, Scene]) -> dict[str, list
     tilts = settings.tilts_deg
     return {
         OPEN: validation_cases(seed, settings.count, tilts_deg=tilts, of=of),
-        ROUND: symmetric_cases(seed, settings.symmetric, tilts_deg=tilts),
+        SYMMETRIC: symmetric_cases(seed, settings.symmetric, tilts_deg=tilts),
         WALLED: walled_cases(seed, settings.walled),
         FLOOR: empty_cases(seed, settings.empty, tilts_deg=tilts),
         TANKS: walled_cases(seed, settings.empty_walled, empty=True),
@@ -195,8 +195,8 @@ def _measure(cases: list[Case], of: dict[str, Scene], segmenter: str) -> dict[st
 def fit_rule(values: Measured, plain: np.ndarray, judged: np.ndarray, filled: np.ndarray) -> IdentificationRule:
     """The rule that is fitted to frames (frame,); its false alarms are not known yet.
 
-    The rule for targets is fitted to the `plain` frames, that for flat ones, which leaves out the rises, to the
-    `judged` frames, and that for empty frames to all; `filled` frames show an object.
+    The rule for targets is fitted to the `plain` frames, that for targets without a distinct yaw, which leaves out the
+    rises, to the `judged` frames, and that for empty frames to all; `filled` frames show an object.
     """
     kept = [k for k, name in enumerate(EVIDENCE) if name not in RISES]
     target = fit_logistic(values.evidence[plain], values.own[plain])

@@ -41,8 +41,6 @@ NOT_SEEN = "{}: at no distance inside the sonar's view is any part of it visible
 """Error message; the target's name goes in."""
 KEPT_COMPACT = 4
 """Number of banks that a target of a catalogue keeps: those of the distances used last."""
-NO_CONTRAST = 1e-6
-"""Product of the norms of two templates of mean 0, below which one is constant."""
 MAX_DISTANCES = 1000
 """Most distances of a search (100 m of floor), as each costs a bank."""
 
@@ -116,7 +114,8 @@ class Match(NamedTuple):
         best = flat[self.scores.argmax()]
         best = best - best.mean()
         norms = np.sqrt(flat.shape[1]) * flat.std(axis=1) * np.linalg.norm(best)
-        return np.divide(flat @ best, norms, out=np.zeros_like(norms), where=norms > NO_CONTRAST)
+        varied = np.ptp(flat, axis=1) > 0  # the norm of a constant template is not quite 0 in float32
+        return np.divide(flat @ best, norms, out=np.zeros_like(norms), where=varied & varied[self.scores.argmax()])
 
 
 class _Entry(NamedTuple):

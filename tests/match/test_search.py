@@ -86,7 +86,7 @@ def test_own_scores_are_the_correlations_of_the_best_template(compact: bool) -> 
     templates = np.asarray(match.matched.templates, np.float64).reshape(12, -1)
     known = np.corrcoef(templates)[match.scores.argmax()]
     np.testing.assert_allclose(match.own_scores(), known, atol=1e-5)
-    flat = match._replace(matched=CompactBank.of(np.full((12, 3, 4), 0.5, np.float32)))
+    flat = match._replace(matched=CompactBank.of(np.full((12, 97, 29), 60 / 255, np.float32)))
     assert (flat.own_scores() == 0).all()
 
 

@@ -65,7 +65,8 @@ def test_an_empty_template_gives_no_nan() -> None:
     assert all(np.isfinite(float(getattr(found, name))) for name in found.__dataclass_fields__)
 
 
-def test_a_constant_frame_is_left_over_whole() -> None:
+@pytest.mark.parametrize("own_rise", [0.0, 0.3])
+def test_a_constant_frame_is_left_over_whole(own_rise: float) -> None:
     """The template explains nothing of it, and the shipped rule refuses what has no other evidence."""
     frame, measured = np.full(SHAPE, 0.3, np.float32), np.ones(SHAPE, np.float32)
     little = 0.02 * np.random.default_rng(4).normal(size=SHAPE)  # what a network sees in it
@@ -75,4 +76,5 @@ def test_a_constant_frame_is_left_over_whole() -> None:
     assert evidence["left_over"] == pytest.approx(1.0, abs=1e-6)
     rule = load_segmenter().rule
     assert rule is not None
-    assert rule.probability(evidence | dict.fromkeys(("map_rise", "frame_rise", "frame_peak", "own_rise"), 0.01)) < 0.2
+    evidence |= dict.fromkeys(("map_rise", "frame_rise", "frame_peak"), 0.01) | {"own_rise": own_rise}
+    assert rule.probability(evidence) < 0.2
