@@ -37,6 +37,10 @@ BESIDE = math.radians(10.0)
 """How far from the best yaw a score is compared with the highest [rad]."""
 
 
+PEAK_SHARE = 1 / 12
+"""Share of the yaw bins that share the highest peak of the scores, beside the best bin [1]."""
+
+
 class Candidate(NamedTuple):
     """A target's best match in a frame."""
 
@@ -198,10 +202,10 @@ def evidence_of(drawn: Drawn, image: np.ndarray, seen: np.ndarray, mask: np.ndar
 def curve_evidence(in_map: Candidate, in_frame: Candidate | None) -> dict[str, float]:
     """Measure how far the peak of the scores over yaw stands out in map and frame, and its height in the frame.
 
-    `map_rise` and `frame_rise` are the highest score minus the fourth highest. `own_rise` is the same of the own scores
-    of the frame's best template (`Match.own_scores`): how far the best yaw of this target can stand out, 0 for a round
-    one. `map_drop` and `frame_drop` are the highest score minus the mean of the two scores 10° before and after it.
-    `frame_peak` is the frame's highest score.
+    `map_rise` and `frame_rise` are the highest score minus the fourth highest (of 36). `own_rise` is the same of the
+    own scores of the frame's best template (`Match.own_scores`): how far the best yaw of this target can stand out, 0
+    for a round one. `map_drop` and `frame_drop` are the highest score minus the mean of the two scores 10° before and
+    after it. `frame_peak` is the frame's highest score.
 
     Args:
         in_map: The match in the map.
@@ -218,9 +222,12 @@ def curve_evidence(in_map: Candidate, in_frame: Candidate | None) -> dict[str, f
 
 
 def _rise(scores: np.ndarray) -> float:
-    """How far the highest of scores (yaw,) stands out: its neighbours share its peak, hence the fourth highest."""
+    """How far the highest of scores over the full circle (yaw,) stands out from those that do not share its peak.
+
+    With the usual 36 bins that is the fourth highest; a peak takes up as large a share of any other number of bins.
+    """
     ordered = np.sort(scores)
-    return float(ordered[-1] - ordered[-4])
+    return float(ordered[-1] - ordered[-1 - max(round(PEAK_SHARE * len(scores)), 1)])
 
 
 def _drop(scores: np.ndarray) -> float:

@@ -19,9 +19,9 @@ EVIDENCE = (
 )  # fmt: skip
 """What a rule may weigh: the fields of `refine.Evidence`, then three numbers from the score curves over yaw.
 
-`map_rise` is the score of the best yaw bin on the semantic map minus that of the fourth best (its neighbours share its
-peak). `frame_rise` is the same for echo templates on the frame itself, and `frame_peak` is the best bin's score
-there.
+`map_rise` is the score of the best of 36 yaw bins on the semantic map minus that of the fourth best (its neighbours
+share its peak). `frame_rise` is the same for echo templates on the frame itself, and `frame_peak` is the best bin's
+score there.
 """
 RISES = ("map_rise", "frame_rise")
 """The items that say nothing about a round target, whose best yaw cannot stand out."""
@@ -29,7 +29,7 @@ FULL_RISE = 0.15
 """From this `own_rise` on, the rises count fully [NCC]; at 0 not at all.
 
 `own_rise` is how far the target's best yaw can stand out: the rise of its best template's own scores. Chosen on the
-validation frames of experiments/fit_decision.py, for bins of 10°; with finer ones all rises are smaller.
+validation frames of experiments/fit_decision.py.
 """
 
 

@@ -18,6 +18,7 @@ from sonarjax.match.first_look import FirstLook
 from sonarjax.match.lean import LeanSearch, LeanSearchConfig
 from sonarjax.match.search import SearchConfig, TargetSearch, rounded_up
 from sonarjax.refine import Candidate, curve_evidence
+from sonarjax.segment.rule import FULL_RISE
 
 SONAR = sj.Sonar.preset("didson-hf", tilt=math.radians(20.0))
 
@@ -101,6 +102,19 @@ def test_the_best_yaw_of_a_round_object_cannot_stand_out() -> None:
         rises[name] = evidence["map_rise"], evidence["own_rise"]
     assert rises["drum"] == pytest.approx((0.0, 0.0), abs=0.01)
     assert 0.1 < rises["pile"][0] < rises["pile"][1]  # shifted, other yaws match better: its own scores leave that out
+
+
+def test_finer_bins_leave_the_own_rise_as_it_is() -> None:
+    """The rule decides by it: twice as many bins must not make a pile look like a drum."""
+    found = {}
+    for bins in (36, 72):
+        search = TargetSearch(sj.objects.target(), SONAR, SearchConfig(yaw_bins=bins))
+        image = np.asarray(sj.render(search.mesh, sj.Pose(x=2.5, yaw=0.9), SONAR).semantic())
+        match = search.find_near(5, image)
+        found[bins] = curve_evidence(Candidate(search, match, *search.place(match)), None)
+    assert found[36]["own_rise"] > FULL_RISE
+    for name in ("own_rise", "map_rise"):
+        assert found[72][name] == pytest.approx(found[36][name], rel=0.25)
 
 
 def test_a_bank_says_that_its_object_is_out_of_view() -> None:
