@@ -153,8 +153,7 @@ def run(settings: Settings, job: Job) -> Report:
         if (chosen := shown == name).any():
             alarms = {"false_alarms": _alarms(probability[chosen]), "left_out_alarms": _alarms(left_out[chosen])}
             rows.append({"frames": name, "count": int(chosen.sum()), **alarms})
-    false = _alarms(probability[judged & ~values.own])
-    rule = replace(rule, false_alarms=false)
+    rule = replace(rule, false_alarms=_alarms(probability[judged & ~values.own]))
     if settings.into:
         arrays, about = read_safetensors(settings.into)
         write_safetensors(settings.into, arrays, about | {"rule": rule.as_json()})
@@ -181,11 +180,8 @@ def _measure(cases: list[Case], of: dict[str, Scene], segmenter: str) -> dict[st
         result = made[case.sought](case.tilt_deg)(case.image, threshold=0.5)
         assert result.evidence is not None
         row = [[result.evidence[name] for name in names] for names in (EVIDENCE, ("map_drop", "frame_drop"))]
-        row += [
-            result.evidence["own_rise"],
-            case.is_target,
-            yaw_error_deg(result.yaw, case.yaw),
-        ]  # NaN where nothing is shown
+        row += [result.evidence["own_rise"], case.is_target]
+        row += [yaw_error_deg(result.yaw, case.yaw)]  # NaN where nothing is shown
         row += [np.degrees(result.evidence["curvature_std"]), result.score_bank, result.score_refined]
         for name, value in zip(found, row, strict=True):
             found[name].append(value)

@@ -9,6 +9,7 @@ import pytest
 
 from experiments import fit_decision, outside
 from experiments.common.scores import area
+from experiments.common.validation import shown_in, symmetric_scenes
 from experiments.fit_decision import Measured
 from experiments.outside import Verdict
 from sonarjax.refine import ErrorBar
@@ -107,3 +108,16 @@ def test_symmetric_targets_are_judged_without_the_rises() -> None:
     missed = fit_decision.score(replace(rule, presence=None, flat=None), given) < fit_decision.THRESHOLD
     assert (found == own)[~flat].mean() > 0.97 and (found == own)[flat].mean() > 0.75
     assert missed[own & flat].mean() > 0.8
+
+
+def test_symmetric_validation_objects_look_the_same_when_turned() -> None:
+    """Their own mirror image is never shown as another object, and the other one is not the target again."""
+    turns = {"spool": 2 * np.pi / 20, "low drum": 2 * np.pi / 24, "prism": np.pi / 2, "long box": np.pi}
+    assert set(turns) == set(symmetric_scenes())
+    for name, scene in symmetric_scenes().items():
+        corners, others = (np.asarray(mesh.vertices, float) for mesh in (scene.target, scene.other))
+        cos, sin = np.cos(turns[name]), np.sin(turns[name])
+        turned = corners @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]])
+        apart = [np.linalg.norm(v[:, None] - corners[None], axis=-1).min(axis=1).max() for v in (turned, others)]
+        assert apart[0] < 1e-5 < 0.01 < apart[1]
+        assert {shown_in(name, turn) for turn in range(8)} == {0, 1}
