@@ -58,6 +58,8 @@ OPEN, SYMMETRIC, WALLED = "any device", "symmetric objects", "walls in view"
 """Frames of an object, on open floor and in a tank."""
 FLOOR, TANKS = "bare floor", "tanks without an object"
 """Frames of neither."""
+AGREE, DISAGREE = "map and frame agree", "they disagree"
+"""Frames of `OPEN` by `Recognition.agree`."""
 YAW_COLUMNS = ("within_1", "within_2", "median", "astray")
 """What is said of the errors of yaw."""
 HEADS = {
@@ -112,6 +114,8 @@ class Measured:
     """`score_bank`."""
     refined: np.ndarray
     """`score_refined`."""
+    agree: np.ndarray
+    """Whether map and frame agree: 1 or 0, NaN where only one of them is matched."""
 
     def only(self, chosen: np.ndarray) -> Measured:
         """The same of the `chosen` (frame,) frames."""
@@ -140,6 +144,7 @@ def run(settings: Settings, job: Job) -> Report:
     left_out = _left_out(values, plain, judged, filled, sought)
     std = np.degrees(_std(bar, values))
     families = {OPEN: plain, "odd devices": plain & odd, "the family": plain & ~odd}
+    families |= {AGREE: plain & (values.agree == 1), DISAGREE: plain & (values.agree == 0)}
     families |= {name: shown == name for name in (SYMMETRIC, WALLED)}
     rows = [
         {"frames": name} | _row(values, probability, left_out, std, chosen)
@@ -182,7 +187,7 @@ def _measure(cases: list[Case], of: dict[str, Scene], segmenter: str) -> dict[st
         row = [[result.evidence[name] for name in names] for names in (EVIDENCE, ("map_drop", "frame_drop"))]
         row += [result.evidence["own_rise"], case.is_target]
         row += [yaw_error_deg(result.yaw, case.yaw)]  # NaN where nothing is shown
-        row += [np.degrees(result.evidence["curvature_std"]), result.score_bank, result.score_refined]
+        row += [np.degrees(result.evidence["curvature_std"]), result.score_bank, result.score_refined, result.agree]
         for name, value in zip(found, row, strict=True):
             found[name].append(value)
     return found
@@ -314,5 +319,5 @@ def table(report: Report) -> str:
 
 
 if __name__ == "__main__":
-    small = {"count": 4, "symmetric": 2, "empty": 2, "walled": 1, "empty_walled": 1}
+    small = {"count": 10, "symmetric": 8, "empty": 2, "walled": 1, "empty_walled": 1}  # each object and another
     launch(run, Settings, table, smoke=small | {"segmenter": "none", "tilts_deg": (20.0,)})

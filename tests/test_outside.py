@@ -20,7 +20,7 @@ RNG = np.random.default_rng(7)
 
 def measured(own: np.ndarray, **values: np.ndarray) -> Measured:
     count = len(own)
-    plain = {name: np.zeros(count) for name in ("own_rise", "error_deg", "std_deg", "bank", "refined")}
+    plain = {name: np.zeros(count) for name in ("own_rise", "error_deg", "std_deg", "bank", "refined", "agree")}
     return Measured(**({"evidence": np.zeros((count, 2)), "drops": np.zeros((count, 2)), "own": own} | plain | values))
 
 
