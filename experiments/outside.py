@@ -1,6 +1,6 @@
 """What is left of all that outside our own simulator? Frames of an independent judge, another simulator, a real tank.
 
-python -m experiments.outside [--external DIR] [--tank DIR] [--preset smoke] [--help]
+python -m experiments.outside [--external DIR] [--tank DIR] [--trainings FILE FILE] [--preset smoke] [--help]
 
 The judge (`experiments.judge`) is a ray caster on Embree and a sensor model that import nothing from the package's
 renderer or sensor. The folders of another simulator's frames and of the tank are not part of the project; what is not
@@ -25,12 +25,12 @@ from tqdm import tqdm
 
 import sonarjax as sj
 from experiments.common.engine import engine
-from experiments.common.launch import Report, launch
+from experiments.common.launch import Report, combined, launch, mean_and_spread
 from experiments.common.metrics import columns, yaw_error_deg
 from experiments.common.outside import OutsideFrame, OutsideSet, judge_set, own_set, read_set
 from experiments.common.runs import Job
 from experiments.common.scores import area
-from experiments.common.segmenters import loaded
+from experiments.common.segmenters import loaded, threshold_of
 from experiments.common.sets import SetName
 from experiments.common.tank import tank_metrics
 
@@ -87,6 +87,8 @@ class Settings:
     """Yaw step of the judge's frames and of our own [deg]."""
     segmenter: str = "pix2pix"
     """The segmenter judged, beside `none`."""
+    trainings: tuple[str, ...] = ()
+    """Weights files of further trainings of it: each number becomes the mean of all, with its largest deviation."""
 
 
 class Verdict(NamedTuple):
@@ -110,15 +112,27 @@ def run(settings: Settings, job: Job) -> Report:
     if folder:
         made |= {f"external, {name}": partial(read_set, Path(folder) / name) for name in settings.external_sets}
     found = job.map(lambda make: _judged(make(), settings), made, "sets")
-    tank = _tank_folder(settings)
-    rows = [{"set": name} | {k: v for k, v in row.items() if k != "ranked"} for name, row in found.items()]
+    tank, names = _tank_folder(settings), _segmenters(settings)
+    tanks = job.map(partial(tank_metrics, tank), (*names, "otsu"), "tank") if tank else {}
+    reports = [
+        _report({of: each[name] for of, each in found.items()}, {k: tanks[k] for k in (name, "otsu") if tanks})
+        for name in names
+    ]
+    return reports[0] if len(reports) == 1 else combined(reports, mean_and_spread) | {"trainings": reports}
+
+
+def _segmenters(settings: Settings) -> tuple[str, ...]:
+    return (settings.segmenter, *settings.trainings)
+
+
+def _report(found: dict[str, dict[str, Any]], tanks: dict[str, Any]) -> Report:
+    """What one segmenter reached in each set, and in the tank beside Otsu's threshold."""
     ranks = {
         source: _rank_ratio([found[name]["ranked"] for name in found if _is_ranked(name, source)])
         for source in ("judge", "external")
     }
-    tanks = job.map(partial(tank_metrics, tank), (settings.segmenter, "otsu"), "tank") if tank else {}
     return {
-        "rows": rows,
+        "rows": [{"set": of} | {k: v for k, v in row.items() if k != "ranked"} for of, row in found.items()],
         "rank_ratio": {k: v for k, v in ranks.items() if v is not None},
         "tank": [{"segmenter": name} | row for name, row in tanks.items()],
     }
@@ -134,15 +148,23 @@ def _is_ranked(name: str, source: str) -> bool:
     return name in {f"{source}, {kind}" for kind in RANKED}
 
 
-def _judged(judged: OutsideSet, settings: Settings) -> dict[str, Any]:
+def _judged(judged: OutsideSet, settings: Settings) -> dict[str, dict[str, Any]]:
+    """What each segmenter reaches, by name."""
     frames = judged.frames[:: settings.every]
-    ours, plain = (_verdict(judged, frames, name) for name in (settings.segmenter, "none"))
+    found = {name: _verdict(judged, frames, name) for name in (*_segmenters(settings), "none")}
     own = np.array([frame.is_target for frame in frames])
-    return _summary(ours, own) | _against(ours, plain, own) | {"ranked": _ranked(ours, own)}
+    return {
+        name: _summary(ours, own) | _against(ours, found["none"], own) | {"ranked": _ranked(ours, own)}
+        for name, ours in found.items()
+    }
 
 
 def _verdict(judged: OutsideSet, frames: Sequence[OutsideFrame], segmenter: str) -> Verdict:
-    """A recognizer for each sonar; a frame that ends in an error scores nothing."""
+    """A recognizer for each sonar; a frame that ends in an error scores nothing.
+
+    Raises SonarjaxError for a segmenter with neither a rule nor a threshold.
+    """
+    threshold = None if loaded(segmenter).rule else threshold_of(segmenter)
     groups: dict[int, list[int]] = defaultdict(list)
     for k, frame in enumerate(frames):
         groups[id(frame.sonar)].append(k)
@@ -155,7 +177,7 @@ def _verdict(judged: OutsideSet, frames: Sequence[OutsideFrame], segmenter: str)
         for k in members:
             progress.update()
             try:
-                result = recognizer(frames[k].image)
+                result = recognizer(frames[k].image, threshold=threshold)
             except (sj.SonarjaxError, ValueError, FloatingPointError):
                 continue  # counted: its score stays NaN
             if not np.isfinite([result.score, result.yaw]).all():
@@ -220,12 +242,13 @@ def table(report: Report) -> str:
     """The sets, what `yaw_std` says of frames beside one another, and the tank."""
     parts = [columns(report["rows"], HEADS)]
     for source, ratio in report["rank_ratio"].items():
-        parts.append(f"{source}: RMS error, quarter of the largest yaw_std over quarter of the smallest: {ratio:.2f}")
+        shown = ratio if isinstance(ratio, str) else f"{ratio:.2f}"
+        parts.append(f"{source}: RMS error, quarter of the largest yaw_std over quarter of the smallest: {shown}")
     if report["tank"]:
         parts.append(columns(report["tank"], TANK_HEADS))
     return "\n\n".join(parts)
 
 
 if __name__ == "__main__":
-    smoke = {"judged": ("offset",), "own": (), "external_sets": ("offset",), "every": 8, "step_deg": 90}
+    smoke = {"judged": ("offset",), "own": (), "external_sets": ("offset",), "every": 7, "step_deg": 90}
     launch(run, Settings, table, smoke=smoke)

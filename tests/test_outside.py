@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+import sonarjax as sj
 from experiments import fit_decision, outside
+from experiments.common.outside import OutsideFrame, OutsideSet
+from experiments.common.runs import Job
 from experiments.common.scores import area
 from experiments.common.validation import shown_in, symmetric_scenes
 from experiments.fit_decision import Measured
@@ -77,6 +82,30 @@ def test_error_bars_that_rank_frames_have_a_large_ratio() -> None:
     assert ratio is not None and 3.0 < ratio < 8.0
     assert outside._rank_ratio([[std.tolist(), [1.0] * 800]]) == pytest.approx(1.0)
     assert outside._rank_ratio([]) is None
+
+
+def test_several_trainings_give_a_mean_and_its_largest_deviation(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Of one training every frame is right, of the other every second one."""
+    own = np.tile([True, True, False, False], 20)
+
+    def verdict(_: Any, frames: Any, name: str) -> Verdict:
+        found = own if name != "second" else own & (np.arange(len(own)) % 2 == 0)
+        return Verdict(own + 0.1, found, np.linspace(0.1, 1.0, len(own)), np.linspace(0.1, 1.0, len(own)))
+
+    sonar = sj.Sonar.preset("didson-hf", tilt=0.3, height=0.9)
+    frames = [OutsideFrame(np.zeros((2, 2)), sonar, bool(one), 0.0) for one in own]
+    monkeypatch.setattr(outside, "_verdict", verdict)
+    monkeypatch.delenv("SONARJAX_EXTERNAL_DATA", raising=False)
+    monkeypatch.delenv("SONARJAX_REAL_DATA", raising=False)
+    monkeypatch.setattr(outside, "judge_set", lambda *_: OutsideSet("judge", sj.objects.target(), frames))
+    settings = outside.Settings(judged=("offset",), own=(), external_sets=(), trainings=("second",))
+    report = outside.run(settings, Job(tmp_path, 0))
+    row = report["rows"][0]
+    assert row["right"] == "0.875 ± 0.125" and row["identified"] == "0.750 ± 0.250" and row["refused"] == 1.0
+    assert [one["rows"][0]["right"] for one in report["trainings"]] == [1.0, 0.75]
+    assert "0.875 ± 0.125" in outside.table(report)
 
 
 def test_a_score_is_no_higher_than_the_probability_that_anything_is_shown() -> None:
