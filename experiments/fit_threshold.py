@@ -1,6 +1,6 @@
 """Which least score identifies a target (eq. 5)? The threshold that errs least on validation frames.
 
-python -m experiments.fit_threshold [--preset smoke] [--help]
+python -m experiments.fit_threshold [--segmenters FILE --store] [--preset smoke] [--help]
 
 Validation frames show other objects than any test, each beside one much like it and its own mirror image, seen by
 devices of the family that the paper's sonar is of (`experiments.common.validation`). The thresholds found stand in
@@ -21,8 +21,9 @@ from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns
 from experiments.common.recognizers import recognizers
 from experiments.common.runs import Job
-from experiments.common.segmenters import Name, available, map_of
+from experiments.common.segmenters import NAMES, available, map_of
 from experiments.common.validation import Case, scenes, validation_cases
+from sonarjax.io.safetensors import read_safetensors, write_safetensors
 
 HEADS = {
     "segmenter": "segmenter",
@@ -40,8 +41,10 @@ class Settings:
 
     count: int = 480
     """Validation frames, of which those of odd devices are left out."""
-    segmenters: tuple[Name, ...] = available()
-    """Segmenters, each with a threshold of its own."""
+    segmenters: tuple[str, ...] = available()
+    """Segmenters by name, or weights files: each is given a threshold of its own."""
+    store: bool = False
+    """Write the thresholds into the weights files among them."""
     tilts_deg: tuple[float, ...] = TILTS_DEG
     """Tilts of the sonar [deg], of those of §4.1."""
 
@@ -58,10 +61,14 @@ def best_threshold(target: np.ndarray, other: np.ndarray) -> float:
 
 
 def run(settings: Settings, job: Job) -> Report:
-    """One row for each segmenter."""
+    """One row for each segmenter. Raises SonarjaxError for one that is not there."""
     cases = validation_cases(job.seed, settings.count, tilts_deg=settings.tilts_deg)
     family = [case for case in cases if not case.odd]
     found = job.map(partial(_measure, family), settings.segmenters, "segmenters")
+    for name in settings.segmenters if settings.store else ():
+        if name not in NAMES:
+            arrays, about = read_safetensors(name)
+            write_safetensors(name, arrays, about | {"threshold": found[name]["threshold"]})
     return {"rows": [{"segmenter": name} | values for name, values in found.items()]}
 
 
