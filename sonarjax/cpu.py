@@ -76,7 +76,7 @@ def enable_compilation_cache() -> Path | None:
 
     By default it lies in the user's cache folder (`XDG_CACHE_HOME`, else `~/.cache`). A cache that the user has set up
     for JAX is left alone, and so are thresholds that are set for JAX. Compiled code is trusted code, for one type of
-    processor and one JAX version. The folder belongs to the user, and may be deleted at any time.
+    processor, one number of cores and one JAX version. The folder belongs to the user, and may be deleted at any time.
 
     Returns:
         The folder in use; None if there is no cache.
@@ -373,9 +373,13 @@ def _names_of_bytes(data: bytes) -> tuple[tuple[str, ...], ...]:
 
 
 def _writable_folder() -> Path | None:
-    """The folder for this JAX version and processor, made if needed; None if it cannot be written."""
+    """The folder for this JAX version, processor and number of cores, made if needed; None if it cannot be written.
+
+    XLA divides a program among the cores that it sees while it compiles, and JAX's key does not count them: code that
+    was compiled on one core would never use more, and its sums are rounded differently.
+    """
     try:
-        folder = _root() / f"jax-{jax.__version__}-{_processor()}"
+        folder = _root() / f"jax-{jax.__version__}-{_processor()}-{cores()}"
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         return folder if os.access(folder, os.W_OK | os.X_OK) else None
     except (OSError, RuntimeError, ValueError):  # RuntimeError: no home; ValueError: a null byte in a path

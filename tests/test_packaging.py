@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 import sonarjax
+from sonarjax.cpu import cores
 
 PROJECT = Path(__file__).resolve().parent.parent
 PYPROJECT = tomllib.loads((PROJECT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -194,3 +195,18 @@ def test_second_run_reads_the_cache_and_says_nothing(tmp_path: Path) -> None:
     first, second = (cache_of(tmp_path, COMPILE, JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS="0") for _ in range(2))
     assert [first.stdout.strip(), second.stdout.strip()] == ["False", "True"]
     assert first.stderr == second.stderr == ""
+
+
+ONE_CORE = """
+import os
+os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(cores() < 2 or not hasattr(os, "sched_setaffinity"), reason="needs two cores, and a choice of them")
+def test_code_that_was_compiled_on_another_number_of_cores_is_not_read(tmp_path: Path) -> None:
+    every, one = COMPILE, ONE_CORE + COMPILE
+    codes = (every, one, every, one)
+    said = [cache_of(tmp_path, code, JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS="0").stdout.strip() for code in codes]
+    assert said == ["False", "False", "True", "True"]
