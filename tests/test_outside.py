@@ -87,7 +87,7 @@ def test_error_bars_that_rank_frames_have_a_large_ratio() -> None:
 def test_several_trainings_give_a_mean_and_its_largest_deviation(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """Of one training every frame is right, of the other every second one."""
+    """One training finds every target, the other every second one."""
     own = np.tile([True, True, False, False], 20)
 
     def verdict(_: Any, frames: Any, name: str) -> Verdict:
