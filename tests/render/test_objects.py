@@ -95,4 +95,4 @@ def test_each_object_of_a_scene_keeps_its_own_reflectivity(painted: int) -> None
         if k == painted:  # the rest of a bin's energy comes from the floor before the object
             assert np.median(ratio[alone[k]]) == pytest.approx(0.5, abs=1e-3) and ratio[alone[k]].max() < 0.7
         else:
-            assert ratio[alone[k]] == pytest.approx(1.0, rel=1e-4)
+            assert ratio[alone[k]] == pytest.approx(1.0, rel=1e-3)  # float32, in another order on one core
