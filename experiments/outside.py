@@ -26,7 +26,7 @@ from tqdm import tqdm
 import sonarjax as sj
 from experiments.common.engine import engine
 from experiments.common.launch import Report, combined, launch, mean_and_spread
-from experiments.common.metrics import columns, yaw_error_deg
+from experiments.common.metrics import columns, fixed, yaw_error_deg
 from experiments.common.outside import OutsideFrame, OutsideSet, judge_set, own_set, read_set
 from experiments.common.runs import Job
 from experiments.common.scores import area
@@ -242,8 +242,8 @@ def table(report: Report) -> str:
     """The sets, what `yaw_std` says of frames beside one another, and the tank."""
     parts = [columns(report["rows"], HEADS)]
     for source, ratio in report["rank_ratio"].items():
-        shown = ratio if isinstance(ratio, str) else f"{ratio:.2f}"
-        parts.append(f"{source}: RMS error, quarter of the largest yaw_std over quarter of the smallest: {shown}")
+        quarters = "RMS error, quarter of the largest yaw_std over quarter of the smallest"
+        parts.append(f"{source}: {quarters}: {fixed(ratio, 2)}")
     if report["tank"]:
         parts.append(columns(report["tank"], TANK_HEADS))
     return "\n\n".join(parts)

@@ -58,6 +58,11 @@ def percentile_gap(errors: Any, others: Any, percentile: float, seed: int = 0) -
     return float(gap(*both)), float(low), float(high)
 
 
+def fixed(value: float | str, digits: int) -> str:
+    """A number with `digits` decimals; mean and spread of several runs are text already."""
+    return value if isinstance(value, str) else f"{value:.{digits}f}"
+
+
 def markdown(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
     """A table; floats with three decimals (two from 10 on, none from 100 on), absent values as a dash."""
 
