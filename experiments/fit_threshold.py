@@ -61,14 +61,14 @@ def best_threshold(target: np.ndarray, other: np.ndarray) -> float:
 
 
 def run(settings: Settings, job: Job) -> Report:
-    """One row for each segmenter. Raises SonarjaxError for one that is not there."""
+    """One row for each segmenter. Raises SonarjaxError for one that is not there, or cannot be written."""
     cases = validation_cases(job.seed, settings.count, tilts_deg=settings.tilts_deg)
     family = [case for case in cases if not case.odd]
     found = job.map(partial(_measure, family), settings.segmenters, "segmenters")
-    for name in settings.segmenters if settings.store else ():
-        if name not in NAMES:
-            arrays, about = read_safetensors(name)
-            write_safetensors(name, arrays, about | {"threshold": found[name]["threshold"]})
+    if settings.store:
+        for file in set(settings.segmenters) - set(NAMES):
+            arrays, about = read_safetensors(file)
+            write_safetensors(file, arrays, about | {"threshold": found[file]["threshold"]})
     return {"rows": [{"segmenter": name} | values for name, values in found.items()]}
 
 

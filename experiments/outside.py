@@ -26,7 +26,7 @@ from tqdm import tqdm
 import sonarjax as sj
 from experiments.common.engine import engine
 from experiments.common.launch import Report, combined, launch, mean_and_spread
-from experiments.common.metrics import columns, fixed, yaw_error_deg
+from experiments.common.metrics import columns, formatted, yaw_error_deg
 from experiments.common.outside import OutsideFrame, OutsideSet, judge_set, own_set, read_set
 from experiments.common.runs import Job
 from experiments.common.scores import area
@@ -243,7 +243,7 @@ def table(report: Report) -> str:
     parts = [columns(report["rows"], HEADS)]
     for source, ratio in report["rank_ratio"].items():
         quarters = "RMS error, quarter of the largest yaw_std over quarter of the smallest"
-        parts.append(f"{source}: {quarters}: {fixed(ratio, 2)}")
+        parts.append(f"{source}: {quarters}: {formatted(ratio, '.2f')}")
     if report["tank"]:
         parts.append(columns(report["tank"], TANK_HEADS))
     return "\n\n".join(parts)

@@ -30,7 +30,7 @@ from tqdm import tqdm
 import sonarjax as sj
 from experiments.common.engine import engine
 from experiments.common.launch import Report, Skipped, launch
-from experiments.common.metrics import columns, percentile_gap, yaw_error_deg
+from experiments.common.metrics import columns, formatted, percentile_gap, yaw_error_deg
 from experiments.common.runs import Job
 from experiments.common.segmenters import loaded
 from experiments.common.sheets import COLUMNS, Panel, draw_sheet
@@ -367,13 +367,9 @@ def summary(report: Report) -> str:
         plain = BASELINES.get(segmenter, {}).get(search)
         shown = row | {"plain": plain and "{:.1f} / {:.1f}".format(*plain)}
         for name in ("p50", "p90") if (search, segmenter) in less else ():
-            shown[name] = "{} ({} to {})".format(*map(_signed, less[search, segmenter][name]))
+            shown[name] = "{} ({} to {})".format(*(formatted(v, "+.2f") for v in less[search, segmenter][name]))
         rows.append(shown)
     return columns(rows, SUMMARY)
-
-
-def _signed(value: float | str) -> str:
-    return value if isinstance(value, str) else f"{value:+.2f}"  # of several seeds it is text, mean ± spread
 
 
 def table(report: Report) -> str:

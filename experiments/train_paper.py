@@ -21,7 +21,7 @@ import jax
 
 from experiments.common.engine import engine
 from experiments.common.launch import Report, launch
-from experiments.common.metrics import columns, fixed
+from experiments.common.metrics import columns, formatted
 from experiments.common.runs import Job, code_digest
 from experiments.common.trainings import train_to_the_end
 from sonarjax.io.safetensors import read_safetensors, write_safetensors
@@ -107,8 +107,8 @@ def _on_training_pairs(recipe: Recipe, weights: Path) -> dict[str, float]:
 
 def table(report: Report) -> str:
     """The two epochs, the last also on training pairs, and the cost."""
-    rows = columns([row | {"epoch": fixed(row["epoch"], 0)} for row in report["rows"]], HEADS)
-    hours, rate = fixed(report["hours"], 2), fixed(report["images_per_s"], 0)
+    rows = columns([row | {"epoch": formatted(row["epoch"], ".0f")} for row in report["rows"]], HEADS)
+    hours, rate = formatted(report["hours"], ".2f"), formatted(report["images_per_s"], ".0f")
     cost = f"{report['images']:.0f} images in {hours} h, {rate} a second"
     return f"{rows}\n\nwidth {report['width']:.0f} on {report['device']}: {cost}"
 

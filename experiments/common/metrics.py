@@ -58,9 +58,9 @@ def percentile_gap(errors: Any, others: Any, percentile: float, seed: int = 0) -
     return float(gap(*both)), float(low), float(high)
 
 
-def fixed(value: float | str, digits: int) -> str:
-    """A number with `digits` decimals; mean and spread of several runs are text already."""
-    return value if isinstance(value, str) else f"{value:.{digits}f}"
+def formatted(value: float | str, spec: str) -> str:
+    """A number in the format `spec`; of several runs it is text already, mean ± spread."""
+    return value if isinstance(value, str) else format(value, spec)
 
 
 def markdown(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:

@@ -35,8 +35,6 @@ FRAME_ITERATION_FACTOR = 3
 In a speckled frame it takes more steps to settle: experiments/fit_refinement.py compares numbers of iterations."""
 BESIDE = math.radians(10.0)
 """How far from the best yaw a score is compared with the highest [rad]."""
-
-
 PEAK_SHARE = 1 / 12
 """Share of the yaw bins that share the highest peak of the scores, beside the best bin [1]."""
 
