@@ -25,7 +25,7 @@ KEPT = ROOT / "docs" / "results"
 """Folder of the results behind the tables, a file for each experiment: a list of reports, one for each seed."""
 LEFT_OUT = ("per_frame", "sheets", "told")
 """Parts of reports that no table shows, and that are large."""
-BEGIN = re.compile(r"^<!-- (\w[\w -]*):begin -->$", re.MULTILINE)
+BEGIN = re.compile(r"^<!-- (\w[\w ./-]*):begin -->$", re.MULTILINE)
 
 
 def update(pages: tuple[Path, ...], runs: Path, kept: Path = KEPT) -> None:
@@ -82,7 +82,7 @@ def _as_in_command(name: str) -> str:
 
 
 def _file_of(name: str) -> str:
-    return f"{name.replace(' ', '_')}.json"
+    return f"{re.sub('[ /]', '_', name)}.json"
 
 
 def _read(path: Path) -> str:
