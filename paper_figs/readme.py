@@ -25,7 +25,9 @@ KEPT = ROOT / "docs" / "results"
 """Folder of the results behind the tables, a file for each experiment: a list of reports, one for each seed."""
 LEFT_OUT = ("per_frame", "sheets", "told")
 """Parts of reports that no table shows, and that are large."""
-BEGIN = re.compile(r"^<!-- (\w[\w ./-]*):begin -->$", re.MULTILINE)
+NAME = r"\w[\w ./-]*"
+"""A block's name, as a regular expression: an experiment and its settings, which may name a file."""
+BEGIN = re.compile(rf"^<!-- ({NAME}):begin -->$", re.MULTILINE)
 
 
 def update(pages: tuple[Path, ...], runs: Path, kept: Path = KEPT) -> None:

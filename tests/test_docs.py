@@ -16,7 +16,7 @@ PROJECT = Path(__file__).resolve().parents[1]
 PAGES = [PROJECT / "README.md", *sorted((PROJECT / "docs").glob("*.md"))]
 README = PAGES[0].read_text(encoding="utf-8")
 
-MARKED = re.compile(r"^<!-- (\w[\w ./-]*):(?:begin|end) -->$", re.MULTILINE)
+MARKED = re.compile(rf"^<!-- ({readme.NAME}):(?:begin|end) -->$", re.MULTILINE)
 TABLE = re.compile(r"^\|.+\|\n\|[-:| ]+\|\n\|.+\|$", re.MULTILINE)  # head, rule and a row
 
 
@@ -40,7 +40,7 @@ def test_tables_are_made_of_the_results_that_are_kept(page: Path) -> None:
     assert readme.with_blocks(text, page) == text
 
 
-BLOCKS = re.compile(r"^<!-- (\w[\w ./-]*):begin -->\n.*?^<!-- \1:end -->$", re.MULTILINE | re.DOTALL)
+BLOCKS = re.compile(rf"^<!-- ({readme.NAME}):begin -->\n.*?^<!-- \1:end -->$", re.MULTILINE | re.DOTALL)
 CODE = re.compile(r"^```.*?^```$|`[^`\n]*`", re.MULTILINE | re.DOTALL)
 MEASURED = re.compile(r"(?<![\d.-])\d+\.\d+(?!\.?\d)|\b\d+ ?(?:%|ms\b|s a frame|times as)")
 # Of the method, not of a run: version numbers, settings, and what the real data's own README says of its truth.
