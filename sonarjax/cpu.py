@@ -32,6 +32,7 @@ from sonarjax.io.errors import SonarjaxError
 from sonarjax.refine import Drawn, Evidence, PoseEstimate
 from sonarjax.render.bank import BankViews
 from sonarjax.scene import Pose
+from sonarjax.sensor import EchoLaw
 
 MIN_COMPILE_SECONDS = 0.2
 """Programs that compile faster than this [s] are not stored: reading the file back would save nothing."""
@@ -354,7 +355,7 @@ def _write(path: Path, program: Any) -> None:
 def _register_results() -> None:
     """Tell JAX under which names the records that programs return are stored in its files."""
     export.register_namedtuple_serialization(BankViews, serialized_name="sonarjax.BankViews")
-    for record in (PoseEstimate, Pose, Drawn, Evidence):
+    for record in (PoseEstimate, Pose, Drawn, EchoLaw, Evidence):
         export.register_pytree_node_serialization(
             record,
             serialized_name=f"sonarjax.{record.__name__}",

@@ -36,10 +36,12 @@ from sonarjax.refine import (
     peak_bins,
     plan_refinement,
     plan_shared,
+    prepare_mean_yaw,
     prepare_refinement,
     quick_evidence,
     refine_starts,
     refine_yaw,
+    with_mean_yaw,
 )
 from sonarjax.refine.free import wrapped
 from sonarjax.render import WindowSize
@@ -222,7 +224,10 @@ class Recognizer:
             return
         self._prepared = True
         name, search = next(iter(self.targets.items()))
-        prepare_refinement(search.mesh, self.sonar, Pose(), self.refine, self.engine, self._windows[name])
+        window = self._windows[name]
+        assert window is not None
+        prepare_refinement(search.mesh, self.sonar, Pose(), self.refine, self.engine, window)
+        prepare_mean_yaw(search.mesh, self.sonar, on_frame(self.refine), window, self.engine)
 
     def _window(self, search: TargetSearch, at: Pose) -> WindowSize | None:
         """The usual window where it is large enough for the target `at` its place, else what that needs."""
@@ -299,7 +304,8 @@ class Recognizer:
             return self._window(start.candidate.search, Pose(x=start.candidate.x, y=start.candidate.y))
 
         assert self.refine is not None
-        return _result(look, refine_starts(starts, image, seen, mask, self.refine, window_of, self.engine))
+        best, *others = refine_starts(starts, image, seen, mask, self.refine, window_of, self.engine)
+        return _result(look, [with_mean_yaw(best, image, mask, self.refine, self.engine), *others])
 
     def _with_geometry(
         self, one: Hypothesis, search: TargetSearch, image: np.ndarray, mask: np.ndarray | None

@@ -6,7 +6,7 @@ eq. 4 becomes a least-squares problem, for any grey image.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -46,8 +46,13 @@ class Blur(NamedTuple):
         return self.along @ image @ self.across.T
 
 
-def make_blur(shape: tuple[int, int], sigma: Float[Array, ""] | float) -> Blur:
-    """The blur of a window of `shape` (range, beam) by `sigma` [range bins], round on the floor."""
+def make_blur(
+    shape: tuple[int, int], sigma: Float[Array, ""] | float, shift: tuple[Any, Any] | Float[Array, "2"] = (0.0, 0.0)
+) -> Blur:
+    """The blur of a window of `shape` (range, beam) by `sigma` [range bins], round on the floor.
+
+    It also moves what it blurs by `shift`, in range bins and beams.
+    """
     rows, columns = shape
 
     def kernel(at: Array, size: int, sigma: Array) -> Array:
@@ -55,8 +60,8 @@ def make_blur(shape: tuple[int, int], sigma: Float[Array, ""] | float) -> Blur:
         return weights / weights.sum(axis=1, keepdims=True)
 
     sigma = jnp.asarray(sigma, jnp.float32)
-    along = kernel(jnp.arange(0, rows, ROW_STRIDE), rows, sigma)
-    return Blur(along, kernel(jnp.arange(columns), columns, sigma * BEAMS_PER_BIN))
+    along = kernel(jnp.arange(0, rows, ROW_STRIDE) - shift[0], rows, sigma)
+    return Blur(along, kernel(jnp.arange(columns) - shift[1], columns, sigma * BEAMS_PER_BIN))
 
 
 def normalised(image: Float[Array, "range beam"], weight: Float[Array, "range beam"]) -> Float[Array, "range beam"]:

@@ -23,7 +23,7 @@ from sonarjax.refine.free import BOUNCES, ON_FLOOR, check_free, displacements, p
 from sonarjax.refine.implicit import attach, hessian, is_minimum, without_gradient
 from sonarjax.refine.objective import Problem, crop_score, make_blur
 from sonarjax.refine.solver import INSIDE, SETTLED_SHARE, STATIONARY_SHARE, Search, Solution, begun, coarse_to_fine
-from sonarjax.refine.template import BOUNCE_BOUNDS, VIEWS, Subject, nominal_law
+from sonarjax.refine.template import BOUNCE_BOUNDS, VIEWS, Drawn, Subject, nominal_law
 from sonarjax.refine.uncertainty import Observability, error_covariance, normal_equations, observability, prior_std
 from sonarjax.refine.views import Job, check_views, in_view, refine_jointly
 from sonarjax.render import RenderQuality, WindowSize, place_window, plan_window
@@ -74,20 +74,6 @@ class PoseEstimate:
     def std(self) -> Float[Array, "*batch free"]:
         """Standard deviations (free) of the free numbers [m, rad], for each pose of the batch."""
         return jnp.sqrt(jnp.diagonal(self.covariance, axis1=-2, axis2=-1))
-
-
-@record
-class Drawn:
-    """The templates at the solutions, each in its own window of the frame."""
-
-    template: Float[Array, "*batch row column"]
-    """The fitted template, as its difference from the bare floor."""
-    labels: Float[Array, "*batch row column"]
-    """The semantic template, minus the background's 0.5."""
-    row: Int[Array, "*batch"]
-    """First range bin of the window."""
-    column: Int[Array, "*batch"]
-    """First beam of the window."""
 
 
 def refine_pose(
@@ -390,7 +376,8 @@ def _refine(
         free=free,
     )
     row, column = jnp.asarray(window.row), jnp.asarray(window.column)
-    return estimate, without_gradient(Drawn(best.template, best.labels, row, column))
+    drawn = Drawn(best.template, best.labels, row, column, solution.views, solution.law, best.step[count:])
+    return estimate, without_gradient(drawn)
 
 
 class _Pass(NamedTuple):

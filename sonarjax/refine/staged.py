@@ -13,8 +13,11 @@ import numpy as np
 from sonarjax.engine import Engine
 from sonarjax.refine.config import RefineConfig
 from sonarjax.refine.evidence import Evidence
-from sonarjax.refine.pose import Drawn
+from sonarjax.refine.free import wrapped
+from sonarjax.refine.mean_yaw import mean_yaw
+from sonarjax.refine.pose import plan_refinement
 from sonarjax.refine.starts import Start, evidence_of, is_kept, kept_pose, on_frame
+from sonarjax.refine.template import Drawn
 from sonarjax.refine.yaw import YawEstimate, refine_and_draw
 from sonarjax.render import WindowSize
 from sonarjax.scene import Pose
@@ -45,6 +48,10 @@ class RefinedStart(NamedTuple):
     """The refined pose, or that before this refinement where it is not kept (see `kept_pose`)."""
     evidence: Evidence
     """The evidence for the target at this pose."""
+    drawn: Drawn
+    """The templates there."""
+    size: WindowSize
+    """Size of the window in which it was refined."""
 
     @property
     def score(self) -> float:
@@ -85,16 +92,20 @@ def refine_starts(
         SonarjaxError: As `refine_yaw`.
     """
 
-    def refine(start: Start, picture: np.ndarray, pose: Pose, how: RefineConfig) -> tuple[YawEstimate, Drawn]:
-        search = start.candidate.search
-        return refine_and_draw(picture, search.mesh, search.sonar, pose, mask, how, window_of(start), engine)
+    def refine(
+        start: Start, picture: np.ndarray, pose: Pose, how: RefineConfig
+    ) -> tuple[YawEstimate, Drawn, WindowSize]:
+        mesh, sonar = start.candidate.search.mesh, start.candidate.search.sonar
+        size = window_of(start) or plan_refinement(mesh, sonar, pose, how)
+        return *refine_and_draw(picture, mesh, sonar, pose, mask, how, size, engine), size
 
     def in_frame(start: Start, pose: Pose, how: RefineConfig) -> RefinedStart:
-        estimate, drawn = refine(start, image, pose, how)
-        return RefinedStart(start, estimate, kept_pose(estimate, pose), evidence_of(drawn, image, seen, mask, engine))
+        estimate, drawn, size = refine(start, image, pose, how)
+        evidence = evidence_of(drawn, image, seen, mask, engine)
+        return RefinedStart(start, estimate, kept_pose(estimate, pose), evidence, drawn, size)
 
     def briefly(start: Start) -> RefinedStart:
-        estimate, _ = refine(start, start.picture, start.begin, _at_most(config, BRIEF_ON_MAP))
+        estimate, *_ = refine(start, start.picture, start.begin, _at_most(config, BRIEF_ON_MAP))
         return in_frame(start, kept_pose(estimate, start.begin), _at_most(final, BRIEF_ON_FRAME))
 
     final = on_frame(config)
@@ -105,6 +116,20 @@ def refine_starts(
     settled = engine.map(lambda one: in_frame(one.start, one.pose, final), list(compress(poses, leads)))
     rest = compress(poses, [not lead for lead in leads])
     return sorted([*settled, *rest], key=lambda one: -one.fit)
+
+
+def with_mean_yaw(
+    found: RefinedStart, image: np.ndarray, mask: np.ndarray | None, config: RefineConfig, engine: Engine
+) -> RefinedStart:
+    """The refined start with the mean yaw over the poses near it (see `mean_yaw`), if its pose was refined.
+
+    `config` is that of the refinement on the map, as in `refine_starts`.
+    """
+    if not is_kept(found.estimate):
+        return found  # the templates are not those of its pose
+    search, how = found.start.candidate.search, (on_frame(config), found.size, engine)
+    yaw = mean_yaw(image, mask, search.mesh, search.sonar, found.pose, found.drawn, *how)
+    return found._replace(pose=replace(found.pose, yaw=wrapped(np.float32(yaw))))
 
 
 def different(found: Sequence[RefinedStart]) -> list[RefinedStart]:

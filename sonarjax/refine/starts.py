@@ -13,7 +13,7 @@ from sonarjax.match import Match, TargetSearch, between_bins, peaks
 from sonarjax.match.search import Picture
 from sonarjax.refine.config import RefineConfig
 from sonarjax.refine.evidence import Evidence, gather_evidence
-from sonarjax.refine.pose import Drawn
+from sonarjax.refine.template import Drawn
 from sonarjax.refine.yaw import YawEstimate
 from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS
 from sonarjax.scene import Pose

@@ -80,6 +80,26 @@ class Subject:
     """The numbers of the pose that a step changes, in the order of `free.NUMBERS`."""
 
 
+@record
+class Drawn:
+    """The templates at the solutions, each in its own window of the frame."""
+
+    template: Float[Array, "*batch row column"]
+    """The fitted template, as its difference from the bare floor."""
+    labels: Float[Array, "*batch row column"]
+    """The semantic template, minus the background's 0.5."""
+    row: Int[Array, "*batch"]
+    """First range bin of the window."""
+    column: Int[Array, "*batch"]
+    """First beam of the window."""
+    views: Int[Array, "*batch"]
+    """Which template was fitted, see `VIEWS`."""
+    law: EchoLaw
+    """How the echo is stored in it."""
+    bounces: Float[Array, "*batch bounce"]
+    """Energies left of the echoes by way of the floor in it [1]."""
+
+
 def labelled(share: Float[Array, "*batch"], sharpness: Float[Array, ""]) -> Float[Array, "*batch"]:
     """Turn a class's share of a pixel into what a label image shows: all or nothing, softened to a logistic step at one
     half.

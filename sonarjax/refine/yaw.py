@@ -11,7 +11,8 @@ from sonarjax.engine import PLAIN, Engine
 from sonarjax.records import record
 from sonarjax.refine.config import RefineConfig
 from sonarjax.refine.free import ON_FLOOR
-from sonarjax.refine.pose import Drawn, PoseEstimate, search_pose
+from sonarjax.refine.pose import PoseEstimate, search_pose
+from sonarjax.refine.template import Drawn
 from sonarjax.render import WindowSize
 from sonarjax.scene import Mesh, Pose
 from sonarjax.sonar import Sonar
