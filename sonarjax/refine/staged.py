@@ -121,12 +121,21 @@ def refine_starts(
 def with_mean_yaw(
     found: RefinedStart, image: np.ndarray, mask: np.ndarray | None, config: RefineConfig, engine: Engine
 ) -> RefinedStart:
-    """The refined start with the mean yaw over the poses near it (see `mean_yaw`), if its pose was refined.
+    """Give a refined start the mean yaw over the poses near it (see `mean_yaw`).
 
-    `config` is that of the refinement on the map, as in `refine_starts`.
+    Args:
+        found: The refined start.
+        image: The frame (range, beam).
+        mask: True where a pixel was measured (range, beam); None means everywhere.
+        config: How it was refined on the map, as in `refine_starts`.
+        engine: Runs the compiled functions.
+
+    Returns:
+        The start with that yaw [rad], and all else as it was. Nothing changes if its refined pose was not kept, because
+        the drawn templates are not those of its pose.
     """
     if not is_kept(found.estimate):
-        return found  # the templates are not those of its pose
+        return found
     search, how = found.start.candidate.search, (on_frame(config), found.size, engine)
     yaw = mean_yaw(image, mask, search.mesh, search.sonar, found.pose, found.drawn, *how)
     return found._replace(pose=replace(found.pose, yaw=wrapped(np.float32(yaw))))
