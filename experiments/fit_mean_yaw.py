@@ -19,11 +19,11 @@ import sonarjax as sj
 from experiments.common.engine import engine
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns, yaw_error_deg
-from experiments.common.recognizers import recognizers
+from experiments.common.recognizers import recognizers, refined_starts
 from experiments.common.runs import Job
 from experiments.common.validation import Case, scenes, validation_cases
 from experiments.common.walled import walled_cases
-from sonarjax.refine import look_closely, make_starts, on_frame, refine_starts
+from sonarjax.refine import on_frame
 from sonarjax.refine.mean_yaw import INDEPENDENT, mean_turn, scores_near
 
 NUMBERS = (0.0, 30.0, 100.0, 200.0, INDEPENDENT, 500.0, 1000.0, 3000.0)
@@ -81,10 +81,7 @@ def _measured(cases: list[Case], segmenter: str) -> list[Fit]:
 
 def _fit(recognizer: sj.Recognizer, case: Case) -> Fit:
     assert recognizer.refine is not None
-    seen = np.asarray(recognizer.segmenter.semantic(case.image, None, engine()))
-    (look,) = look_closely(recognizer.targets, None, recognizer.search, (seen, case.image), None, engine())
-    starts = make_starts(*look, seen, case.image, recognizer.search.hypotheses)
-    best = refine_starts(starts, case.image, seen, None, recognizer.refine, lambda _: None, engine())[0]
+    best = refined_starts(recognizer, case.image)[0]
     search, how = best.start.candidate.search, (on_frame(recognizer.refine), best.size, engine())
     scores = scores_near(case.image, None, search.mesh, search.sonar, best.pose, best.drawn, *how)
     return Fit(float(best.pose.yaw), case.yaw, scores)

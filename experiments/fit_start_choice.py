@@ -17,14 +17,13 @@ import numpy as np
 from tqdm import tqdm
 
 import sonarjax as sj
-from experiments.common.engine import engine
 from experiments.common.launch import Report, launch
 from experiments.common.metrics import columns, yaw_error_deg
-from experiments.common.recognizers import recognizers
+from experiments.common.recognizers import recognizers, refined_starts
 from experiments.common.runs import Job
 from experiments.common.validation import Case, scenes, validation_cases
 from experiments.common.walled import walled_cases
-from sonarjax.refine import MAP_SHARE, RefinedStart, look_closely, make_starts, refine_starts
+from sonarjax.refine import MAP_SHARE
 
 SHARES = (0.0, 0.1, 0.2, MAP_SHARE, 0.4, 0.5, 0.7, 1.0)
 """Weights of the map [1]."""
@@ -68,18 +67,10 @@ def _measured(cases: list[Case], segmenter: str) -> list[list[tuple[float, float
     targets = [case for case in cases if case.is_target]
     found = []
     for case in tqdm(targets, desc="refining starts", unit="frame", leave=False, disable=None):
-        starts = _refined(made[case.sought](case.tilt_deg), case.image)
+        starts = refined_starts(made[case.sought](case.tilt_deg), case.image)
         errors = [float(yaw_error_deg(float(one.pose.yaw), case.yaw)) for one in starts]
         found.append([(one.score, float(one.evidence.map_fit), e) for one, e in zip(starts, errors, strict=True)])
     return found
-
-
-def _refined(recognizer: sj.Recognizer, image: np.ndarray) -> list[RefinedStart]:
-    assert recognizer.refine is not None
-    seen = np.asarray(recognizer.segmenter.semantic(image, None, engine()))
-    (look,) = look_closely(recognizer.targets, None, recognizer.search, (seen, image), None, engine())
-    starts = make_starts(*look, seen, image, recognizer.search.hypotheses)
-    return refine_starts(starts, image, seen, None, recognizer.refine, lambda _: None, engine())
 
 
 def _row(name: str, frames: list[list[tuple[float, float, float]]], share: float) -> dict[str, Any]:

@@ -60,7 +60,8 @@ class Recognition:
     yaw_bin: float
     """Yaw of the best template [rad], turned to the bearing at which it was found."""
     yaw: float
-    """Refined absolute yaw [rad]; without refinement, that of the bin."""
+    """Mean absolute yaw [rad] over the poses near the best fit (`refine.mean_yaw`); without refinement, that of the
+    bin."""
     yaw_std: float | None
     """Standard deviation of the refined yaw [rad]; None without refinement."""
     x: float

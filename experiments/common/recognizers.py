@@ -6,11 +6,13 @@ from collections.abc import Callable
 from copy import copy
 from functools import cache
 
+import numpy as np
+
 import sonarjax as sj
 from experiments.common.engine import engine
 from experiments.common.frames import sonar_for
 from sonarjax.match import SearchConfig
-from sonarjax.refine import MAP_REFINEMENT
+from sonarjax.refine import MAP_REFINEMENT, RefinedStart, look_closely, make_starts, refine_starts
 
 
 def recognizers(
@@ -38,3 +40,12 @@ def unrefined(recognizer: sj.Recognizer) -> sj.Recognizer:
     twin = copy(recognizer)
     twin.refine = None
     return twin
+
+
+def refined_starts(recognizer: sj.Recognizer, image: np.ndarray) -> list[RefinedStart]:
+    """The refined starts in a frame (range, beam), best first, as `Recognizer` finds them before the mean yaw."""
+    assert recognizer.refine is not None
+    seen = np.asarray(recognizer.segmenter.semantic(image, None, engine()))
+    (look,) = look_closely(recognizer.targets, None, recognizer.search, (seen, image), None, engine())
+    starts = make_starts(*look, seen, image, recognizer.search.hypotheses)
+    return refine_starts(starts, image, seen, None, recognizer.refine, lambda _: None, engine())

@@ -31,7 +31,7 @@ from sonarjax.sonar import Sonar
 
 INDEPENDENT = 300.0
 """How many pixels count as independent. It is far below the number of pixels, because neighbours share speckle and what
-the template lacks. Chosen on validation frames (experiments/fit_mean_yaw.py)."""
+the template lacks. Chosen on validation frames; experiments/fit_mean_yaw.py measures it on others."""
 TURNS = np.radians(np.linspace(-3.2, 3.2, 5)).astype(np.float32)
 """Yaws from the best fit at which the object is rendered [rad]."""
 SHIFTS = np.stack([np.linspace(-1.0, 1.0, 5), np.linspace(-0.8, 0.8, 5)], axis=-1).astype(np.float32)
@@ -80,10 +80,8 @@ def scores_near(
 
     All are over the same pixels: the box of the refined template with the bank's margin.
     """
-    (rows, columns), top, left = size.shape, int(drawn.row), int(drawn.column)
     whole = np.ones(image.shape, np.float32) if mask is None else mask.astype(np.float32)
-    seen, measured = (v[top : top + rows, left : left + columns] for v in (np.where(whole > 0, image, 0.0), whole))
-    seen = seen.astype(np.float32)
+    seen, measured = (drawn.part(v) for v in (np.where(whole > 0, image, 0.0).astype(np.float32), whole))
 
     def turned(turn: Any) -> np.ndarray:
         numbers, static = _how(config, size)
@@ -132,7 +130,6 @@ def shifted_scores(
     weight = measured * box_around(drawn.template, (MARGIN_BINS, MARGIN_BEAMS))
     rows = weight[::ROW_STRIDE]
     seen = normalised(make_blur(size.shape, sigma)(image * weight), rows)
-
     blurs = jax.vmap(lambda shift: make_blur(size.shape, sigma, shift))(jnp.asarray(SHIFTS))
     moved = jnp.einsum("krx,xb,lcb->klrc", blurs.along, template * weight, blurs.across)
     return jax.vmap(jax.vmap(lambda one: (normalised(one, rows) * seen).sum()))(moved)

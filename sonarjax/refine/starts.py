@@ -190,10 +190,8 @@ def on_frame(config: RefineConfig) -> RefineConfig:
 
 def evidence_of(drawn: Drawn, image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None, engine: Engine) -> Evidence:
     """Gather the evidence for a drawn template in its window of the frame."""
-    rows, columns = np.shape(drawn.template)
-    top, left = int(drawn.row), int(drawn.column)
     whole = np.ones(image.shape, np.float32) if mask is None else mask.astype(np.float32)
-    parts = (v[top : top + rows, left : left + columns] for v in (image, np.asarray(seen, np.float32), whole))
+    parts = (drawn.part(v) for v in (image, np.asarray(seen, np.float32), whole))
     return engine.run(gather_evidence, *parts, drawn.template, drawn.labels)
 
 

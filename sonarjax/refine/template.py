@@ -99,6 +99,19 @@ class Drawn:
     bounces: Float[Array, "*batch bounce"]
     """Energies left of the echoes by way of the floor in it [1]."""
 
+    def part(self, image: np.ndarray) -> np.ndarray:
+        """Cut the window out of an image.
+
+        Args:
+            image: An image (range, beam) of the complete frame. The record must hold a single template.
+
+        Returns:
+            The window (row, column) of it.
+        """
+        rows, columns = self.template.shape
+        top, left = int(self.row), int(self.column)
+        return image[top : top + rows, left : left + columns]
+
 
 def labelled(share: Float[Array, "*batch"], sharpness: Float[Array, ""]) -> Float[Array, "*batch"]:
     """Turn a class's share of a pixel into what a label image shows: all or nothing, softened to a logistic step at one

@@ -117,6 +117,16 @@ def test_a_pose_that_was_not_refined_keeps_its_yaw(frame: np.ndarray) -> None:
     assert moved.pose.yaw.dtype == np.float32
 
 
+def test_recognize_reports_the_mean_yaw(frame: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The yaw alone moves: place, score and evidence stay those of the best fit."""
+    recognizer = sj.Recognizer(CORNER, SONAR, segmenter="none")
+    best = recognizer(frame, threshold=0.5)
+    monkeypatch.setattr("sonarjax.refine.staged.mean_yaw", lambda *args: float(args[4].yaw) + 0.02)
+    moved = recognizer(frame, threshold=0.5)
+    assert moved.yaw == pytest.approx(best.yaw + 0.02, abs=1e-3)
+    assert (moved.x, moved.y, moved.score, moved.evidence) == (best.x, best.y, best.score, best.evidence)
+
+
 def test_what_is_prepared_is_what_runs(frame: np.ndarray, drawn: Drawn) -> None:
     engine = CpuEngine()
     prepare_mean_yaw(CORNER, SONAR, HOW, SIZE, engine)
