@@ -42,7 +42,7 @@ from experiments.common.walled import walled_cases
 from sonarjax.io import SonarjaxError
 from sonarjax.io.safetensors import read_safetensors, write_safetensors
 from sonarjax.refine import ErrorBar
-from sonarjax.refine.errorbar import log_drop
+from sonarjax.refine.errorbar import SHARPEST, log_drop
 from sonarjax.segment import EVIDENCE, IdentificationRule
 from sonarjax.segment.rule import RISES, Logistic
 
@@ -100,8 +100,8 @@ class Measured:
 
     evidence: np.ndarray
     """Evidence (frame, number), in the order of `EVIDENCE`."""
-    drops: np.ndarray
-    """`map_drop` and `frame_drop` (frame, 2)."""
+    frame_drop: np.ndarray
+    """How far the frame's scores fall beside the best yaw [NCC]."""
     own_rise: np.ndarray
     """How far the target's best yaw can stand out [NCC]."""
     own: np.ndarray
@@ -184,8 +184,8 @@ def _measure(cases: list[Case], of: dict[str, Scene], segmenter: str) -> dict[st
     for case in tqdm(cases, desc=segmenter, unit="frame", leave=False, disable=None):
         result = made[case.sought](case.tilt_deg)(case.image, threshold=0.5)
         assert result.evidence is not None
-        row = [[result.evidence[name] for name in names] for names in (EVIDENCE, ("map_drop", "frame_drop"))]
-        row += [result.evidence["own_rise"], case.is_target]
+        row = [[result.evidence[name] for name in EVIDENCE]]
+        row += [result.evidence["frame_drop"], result.evidence["own_rise"], case.is_target]
         row += [yaw_error_deg(result.yaw, case.yaw)]  # NaN where nothing is shown
         row += [np.degrees(result.evidence["curvature_std"]), result.score_bank, result.score_refined, result.agree]
         for name, value in zip(found, row, strict=True):
@@ -251,7 +251,9 @@ def fit_error_bar(values: Measured) -> ErrorBar:
     def loss(beta: np.ndarray) -> float:
         return unlikeliness(error, std(beta)) + BAR_RIDGE * float((beta[1:] ** 2).sum()) / 2
 
-    beta = minimize(loss, [np.log(np.median(error)), *np.zeros(known.shape[1])]).x
+    # Errors beyond TAIL have no gradient, so a method that uses it may stop far from the best fit.
+    start = [np.log(np.median(error)), *np.zeros(known.shape[1])]
+    beta = minimize(loss, start, method="Nelder-Mead", options={"xatol": 1e-5, "fatol": 1e-6, "maxiter": 4000}).x
     weights = beta[1:] / spread
     offset = beta[0] - weights @ mean + np.log(scale_to_68(error, std(beta)))
     return ErrorBar(float(offset), *(float(w) for w in weights))
@@ -259,14 +261,13 @@ def fit_error_bar(values: Measured) -> ErrorBar:
 
 def _known(values: Measured) -> np.ndarray:
     """What error bars are made of (frame, number): the fields of `ErrorBar` after its offset."""
-    drops = log_drop(values.drops)
-    return np.stack([drops[:, 0], drops[:, 1], values.evidence[:, EVIDENCE.index("left_over")]], axis=-1)
+    curvature = np.log(np.radians(values.std_deg) + SHARPEST)
+    return np.stack([curvature, log_drop(values.frame_drop)], axis=-1)
 
 
 def _std(bar: ErrorBar, values: Measured) -> np.ndarray:
     """Standard deviations (frame,) [rad]."""
-    left_over = values.evidence[:, EVIDENCE.index("left_over")]
-    return bar.std(np.radians(values.std_deg), values.drops[:, 0], values.drops[:, 1], left_over)
+    return bar.std(np.radians(values.std_deg), values.frame_drop)
 
 
 def _left_out(

@@ -417,11 +417,7 @@ def _widened(config: RefineConfig, yaw_bins: int) -> RefineConfig:
 def _result(look: Look, refined: Sequence[RefinedStart]) -> _Result:
     """A look's refined starts, best first, as hypotheses, with the evidence for the best; its score is set later."""
     best, curves = refined[0], curve_evidence(*look)
-    curvature, left_over = (
-        np.stack([np.asarray(value) for value in values])
-        for values in zip(*((one.estimate.yaw_std, one.evidence.left_over) for one in refined), strict=True)
-    )
-    stds = ERROR_BAR.std(curvature, curves["map_drop"], curves["frame_drop"], left_over)
+    stds = ERROR_BAR.std(np.stack([np.asarray(one.estimate.yaw_std) for one in refined]), curves["frame_drop"])
     hypotheses = [_hypothesis(one, float(std)) for one, std in zip(refined, stds, strict=True)]
     evidence = {name: float(value) for name, value in vars(best.evidence).items()}
     evidence |= curves | {"curvature_std": float(best.estimate.yaw_std)}

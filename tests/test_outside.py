@@ -25,8 +25,9 @@ RNG = np.random.default_rng(7)
 
 def measured(own: np.ndarray, **values: np.ndarray) -> Measured:
     count = len(own)
-    plain = {name: np.zeros(count) for name in ("own_rise", "error_deg", "std_deg", "bank", "refined", "agree")}
-    return Measured(**({"evidence": np.zeros((count, 2)), "drops": np.zeros((count, 2)), "own": own} | plain | values))
+    names = ("frame_drop", "own_rise", "error_deg", "std_deg", "bank", "refined", "agree")
+    plain = {name: np.zeros(count) for name in names}
+    return Measured(**({"evidence": np.zeros((count, 2)), "own": own} | plain | values))
 
 
 def test_area_counts_the_pairs_in_the_right_order() -> None:
@@ -45,12 +46,12 @@ def test_the_logistic_fit_finds_the_log_odds_it_was_drawn_from() -> None:
 
 
 def test_error_bars_are_fitted_to_errors_drawn_from_them() -> None:
-    drawn, count = ErrorBar(-7.0, -0.6, -0.4, 1.2), 8000
-    drops, evidence = RNG.uniform(0.0, 0.2, (count, 2)), RNG.uniform(0.0, 0.7, (count, len(EVIDENCE)))
+    drawn, count = ErrorBar(-2.0, 0.6, -0.4), 8000
+    drop, std = RNG.uniform(0.0, 0.2, count), np.exp(RNG.uniform(-4.0, 0.0, count))
     own = np.ones(count, bool)
-    given = measured(own, drops=drops, evidence=evidence, error_deg=np.zeros(count))
+    given = measured(own, frame_drop=drop, std_deg=std, error_deg=np.zeros(count))
     error = np.abs(RNG.normal(size=count)) * np.degrees(fit_decision._std(drawn, given))
-    found = fit_decision.fit_error_bar(measured(own, drops=drops, evidence=evidence, error_deg=error))
+    found = fit_decision.fit_error_bar(measured(own, frame_drop=drop, std_deg=std, error_deg=error))
     assert fit_decision._std(found, given) == pytest.approx(fit_decision._std(drawn, given), rel=0.15)
 
 

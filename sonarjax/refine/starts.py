@@ -200,21 +200,24 @@ def curve_evidence(in_map: Candidate, in_frame: Candidate | None) -> dict[str, f
 
     `map_rise` and `frame_rise` are the highest score minus the fourth highest (of 36). `own_rise` is the same of the
     own scores of the frame's best template (`Match.own_scores`): how far the best yaw of this target can stand out, 0
-    for a round one. `map_drop` and `frame_drop` are the highest score minus the mean of the two scores 10° before and
-    after it. `frame_peak` is the frame's highest score.
+    for a round one. `frame_drop` is the frame's highest score minus the mean of the two scores 10° before and after it.
+    `frame_peak` is the frame's highest score.
 
     Args:
         in_map: The match in the map.
         in_frame: The match in the frame; None uses the match in the map instead.
 
     Returns:
-        These six numbers [NCC] by name.
+        These five numbers [NCC] by name.
     """
     frame = (in_map if in_frame is None else in_frame).match
-    evidence = {"frame_peak": float(frame.scores.max()), "own_rise": _rise(frame.own_scores())}
-    for name, scores in {"map": in_map.match.scores, "frame": frame.scores}.items():
-        evidence |= {f"{name}_rise": _rise(scores), f"{name}_drop": _drop(scores)}
-    return evidence
+    return {
+        "map_rise": _rise(in_map.match.scores),
+        "frame_rise": _rise(frame.scores),
+        "own_rise": _rise(frame.own_scores()),
+        "frame_peak": float(frame.scores.max()),
+        "frame_drop": _drop(frame.scores),
+    }
 
 
 def _rise(scores: np.ndarray) -> float:

@@ -17,8 +17,9 @@ CLOSING = (9, 3)
 """Gaps of up to this many pixels (range, beam) between parts of an object are closed."""
 JUMPS = 10
 """Chains of labels are followed for 2¹⁰ steps in one round."""
-LEAST_SHARE = 0.2
-"""Objects with less than this share of the clearest object's evidence are dropped."""
+LEAST_SHARE = 0.05
+"""Objects with less than this share of the clearest object's evidence are dropped. Where a frame shows
+several, a small one beside a large one is worth a closer look."""
 
 
 class Objects(NamedTuple):

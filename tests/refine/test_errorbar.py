@@ -8,29 +8,30 @@ import numpy as np
 import pytest
 
 from sonarjax.refine import ERROR_BAR, POSE_ERROR_BAR, ErrorBar, PoseErrorBar
+from sonarjax.refine.errorbar import SHARPEST
 
 
 def test_it_is_a_product_of_powers() -> None:
-    bar = ErrorBar(offset=-3.0, map_drop=-0.5, frame_drop=-2.0, left_over=1.5)
-    std = bar.std(np.zeros(2), np.array([0.095, 0.0]), 0.995, np.array([0.2, 0.4]))
-    assert std == pytest.approx([math.exp(-2.7) / math.sqrt(0.1), math.exp(-2.4) / math.sqrt(0.005)])
+    bar = ErrorBar(offset=-3.0, curvature=0.5, frame_drop=-2.0)
+    std = bar.std(np.array([1e-4, 4e-4]) - SHARPEST, np.array([0.095, 0.995]))
+    assert std == pytest.approx([math.exp(-3.0) * 0.01 / 0.1**2, math.exp(-3.0) * 0.02])
 
 
 def test_the_curvature_is_the_least() -> None:
-    known, nothing_left = np.array([0.0, 0.5, np.inf]), np.zeros(3)
-    std = ERROR_BAR.std(known, 1.0, 1.0, nothing_left)
+    known = np.array([0.0, 0.5, np.inf])
+    std = ERROR_BAR.std(known, 1.0)
     assert 0 < std[0] < math.radians(1.0)
     assert std[1:].tolist() == [0.5, np.inf]
 
 
 def test_a_curve_that_does_not_fall_is_a_finite_error() -> None:
-    assert np.isfinite(ERROR_BAR.std(np.zeros(1), -0.1, 0.0, np.ones(1))).all()
+    assert np.isfinite(ERROR_BAR.std(np.full(2, 0.01), np.array([-0.1, 0.0]))).all()
 
 
-def test_a_flatter_curve_and_more_left_over_mean_a_larger_error() -> None:
-    least = ERROR_BAR.std(np.zeros(1), 0.2, 0.2, np.array([0.2]))
-    for worse in ((0.05, 0.2, 0.2), (0.2, 0.05, 0.2), (0.2, 0.2, 0.6)):
-        assert ERROR_BAR.std(np.zeros(1), *worse[:2], np.array(worse[2:])) > least
+def test_flatter_curves_mean_a_larger_error() -> None:
+    least = ERROR_BAR.std(np.full(1, 1e-3), 0.2)
+    assert ERROR_BAR.std(np.full(1, 4e-3), 0.2) > least
+    assert ERROR_BAR.std(np.full(1, 1e-3), 0.05) > least
 
 
 def test_a_pose_has_the_errors_of_the_curvature_and_of_the_template() -> None:
