@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,10 +18,11 @@ from experiments.common.scores import area
 from experiments.common.validation import shown_in, symmetric_scenes
 from experiments.fit_decision import Measured
 from experiments.outside import Verdict
-from sonarjax.refine import ErrorBar
+from sonarjax.refine import ERROR_BAR, ErrorBar
 from sonarjax.segment import EVIDENCE
 
 RNG = np.random.default_rng(7)
+FITTED = Path(__file__).parents[1] / "docs/results/fit_decision.json"
 
 
 def measured(own: np.ndarray, **values: np.ndarray) -> Measured:
@@ -53,6 +55,11 @@ def test_error_bars_are_fitted_to_errors_drawn_from_them() -> None:
     error = np.abs(RNG.normal(size=count)) * np.degrees(fit_decision._std(drawn, given))
     found = fit_decision.fit_error_bar(measured(own, frame_drop=drop, std_deg=std, error_deg=error))
     assert fit_decision._std(found, given) == pytest.approx(fit_decision._std(drawn, given), rel=0.15)
+
+
+def test_the_error_bar_that_ships_is_the_one_that_was_fitted() -> None:
+    (report,) = json.loads(FITTED.read_text(encoding="utf-8"))
+    assert ERROR_BAR._asdict() == pytest.approx(report["error_bar"], rel=1e-3)
 
 
 def test_a_frame_is_right_where_the_target_is_found_with_its_yaw() -> None:

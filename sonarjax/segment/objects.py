@@ -18,8 +18,8 @@ CLOSING = (9, 3)
 JUMPS = 10
 """Chains of labels are followed for 2¹⁰ steps in one round."""
 LEAST_SHARE = 0.05
-"""Objects with less than this share of the clearest object's evidence are dropped. Where a frame shows
-several, a small one beside a large one is worth a closer look."""
+"""Objects with less than this share of the clearest object's evidence are dropped. Most of
+them are noise, and each closer look takes time."""
 
 
 class Objects(NamedTuple):

@@ -25,8 +25,7 @@ from sonarjax.segment.weights import GeneratorWeights, segment_patch
 TILE = TRAINING_FRAME
 """Largest size of a tile (range, beam) [pixels]."""
 CLOSER = 6
-"""Most objects that get a closer look. On drawn frames of several objects the maps are better than with 3, and no
-better with 10."""
+"""Most objects that get a closer look (experiments/fit_closer_looks.py)."""
 MARGIN, MARGIN_OF_FRAME = 0.15, 0.015
 """Margin on each side of a closer look: `MARGIN` times the object's extent plus `MARGIN_OF_FRAME` times the frame's.
 This is a quarter of the largest margin of a training crop (see `data.crops`)."""
