@@ -2,14 +2,13 @@
 
 python -m experiments.fit_closer_looks [--count N] [--preset smoke] [--help]
 
-The frames show objects and devices that occur in no test, in the beams of two sonars. `seconds` is the median time of a
-map. What is found stands in `sonarjax.segment.tiled`.
+The frames show objects and devices that occur in no test, in the beams of two sonars. What is found stands in
+`sonarjax.segment.tiled`.
 """
 
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -35,7 +34,7 @@ LEAST_PIXELS = 20
 """Objects with less highlight are not counted."""
 HEADS = {
     "shown": "objects in a frame", "frames": "frames", "looks": "closer looks", "iou": "IoU of highlight",
-    "precision": "precision", "recall": "recall", "hit": "objects hit", "seconds": "seconds", "used": "",
+    "precision": "precision", "recall": "recall", "hit": "objects hit", "used": "",
 }  # fmt: skip
 
 
@@ -56,7 +55,10 @@ class Settings:
 
 
 def run(settings: Settings, job: Job) -> Report:
-    """A row for each kind of frames and number of closer looks."""
+    """A row for each kind of frames and number of closer looks.
+
+    Raises SonarjaxError for a count of frames that are no full chunks.
+    """
     if settings.count < CHUNK or settings.count % CHUNK:
         raise sj.SonarjaxError(f"--count: expected a multiple of {CHUNK}, got {settings.count}")
 
@@ -69,15 +71,14 @@ def run(settings: Settings, job: Job) -> Report:
 
 
 def _frames(settings: Settings, most: int, seed: int) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Images (range, beam) in [0, 1], and the number of the object whose highlight a pixel shows, else 0."""
+    """Images in [0, 1], and the number of the object whose highlight each pixel shows, else 0; both (range, beam)."""
     meshes = sj.stack_meshes([mesh for both in bare_objects().values() for mesh in both])
     key = jax.random.fold_in(jax.random.key(VALIDATION_SEED + seed), most)
     how = FrameSettings(scenes=most, sensor="wide", severity=settings.severity)
     frames = []
     for number, name in enumerate(settings.sonars):
-        sonar = sj.Sonar.preset(name, **PLACE)
+        sonar, data = sj.Sonar.preset(name, **PLACE), np.asarray(jax.random.key_data(jax.random.fold_in(key, number)))
         for chunk in range(settings.count // CHUNK):
-            data = np.asarray(jax.random.key_data(jax.random.fold_in(key, number)))
             drawn = draw_chunk(meshes, sonar, placement_limits(sonar), chunk, how, engine(), key=data)
             parts = np.where(drawn.labels == 1, drawn.instances, 0)
             frames += list(zip(drawn.image / np.float32(255), parts, strict=True))
@@ -85,18 +86,15 @@ def _frames(settings: Settings, most: int, seed: int) -> list[tuple[np.ndarray, 
 
 
 def _rows(frames: list[tuple[np.ndarray, np.ndarray]], numbers: Sequence[int]) -> list[dict[str, Any]]:
+    """A row for each number of closer looks: the maps' highlight against the true one, all frames together."""
     weights = sj.load_segmenter().weights
     rows = []
     for looks in numbers:
-        counts, seconds = [], []
-        for image, parts in frames:
-            begun = time.perf_counter()
-            semantic = np.asarray(engine().run(sj.segment, image, weights, closer=looks))
-            seconds.append(time.perf_counter() - begun)
-            counts.append(_counts(semantic > HIGHLIGHT, parts))
+        maps = (np.asarray(engine().run(sj.segment, image, weights, closer=looks)) for image, _ in frames)
+        counts = [_counts(made > HIGHLIGHT, parts) for made, (_, parts) in zip(maps, frames, strict=True)]
         both, found, true, hit, objects = np.sum(counts, axis=0)
         row = {"frames": len(frames), "looks": looks, "iou": both / (found + true - both), "precision": both / found}
-        row |= {"recall": both / true, "hit": hit / objects, "seconds": float(np.median(seconds))}
+        row |= {"recall": both / true, "hit": hit / objects}
         rows.append(row | {"used": "used" if looks == CLOSER else ""})
     return rows
 

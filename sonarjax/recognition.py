@@ -85,8 +85,9 @@ class Recognition:
     refinement decides. None where only one of them is matched: without refinement, for the segmenter `none`, and with a
     map of your own."""
     evidence: Mapping[str, float] | None = field(default=None, repr=False)
-    """The rule's inputs, by the names of `segment.EVIDENCE`, `own_rise`, and `curvature_std`, the yaw's standard
-    deviation [rad] from `refine_yaw`. None without refinement."""
+    """The rule's inputs, by the names of `segment.EVIDENCE`, and `own_rise`. `yaw_std` is made of `frame_drop`
+    [NCC] of `curve_evidence`, and `curvature_std` [rad], the standard deviation from `refine_yaw`. None without
+    refinement."""
 
     @property
     def yaw_set(self) -> YawSet | None:
