@@ -26,8 +26,6 @@ TILE = TRAINING_FRAME
 """Largest size of a tile (range, beam) [pixels]."""
 CLOSER = 6
 """Most objects that get a closer look (experiments/fit_closer_looks.py)."""
-UNSURE = 0.3
-"""Weight of a closer look in the mean with the map, where it is less sure (experiments/fit_closer_looks.py)."""
 MARGIN, MARGIN_OF_FRAME = 0.15, 0.015
 """Margin on each side of a closer look: `MARGIN` times the object's extent plus `MARGIN_OF_FRAME` times the frame's.
 This is a quarter of the largest margin of a training crop (see `data.crops`)."""
@@ -53,7 +51,6 @@ def segment(
     mask: Any = None,
     *,
     closer: int = CLOSER,
-    unsure: float = UNSURE,
     tile: tuple[int, int] = TILE,
 ) -> Float[Array, "range beam"]:
     """Compute the semantic map of a frame by tiled inference.
@@ -67,7 +64,6 @@ def segment(
             and the network is given the median of the measured pixels, which is mostly floor. Dark pixels there would
             make the floor beside them look like highlight.
         closer: Most objects that get a closer look.
-        unsure: Weight of a closer look in the mean with the map [1], where it is less sure than the map.
         tile: Largest size of a tile (range, beam) [pixels].
 
     Returns:
@@ -78,7 +74,7 @@ def segment(
     """
     check_kind(weights, GeneratorWeights, "weights")
     check_frame(image, mask)
-    return _segment(image, weights, mask, unsure, closer=closer, tile=tile)
+    return _segment(image, weights, mask, closer=closer, tile=tile)
 
 
 def check_frame(image: Any, mask: Any = None) -> None:
@@ -98,8 +94,8 @@ def check_frame(image: Any, mask: Any = None) -> None:
 
 @partial(jax.jit, static_argnames=("closer", "tile"))
 def _segment(
-    image: Float[Array, "range beam"], weights: GeneratorWeights, mask: Bool[Array, "range beam"] | None,
-    unsure: Float[Array, ""] | float, *, closer: int, tile: tuple[int, int],
+    image: Float[Array, "range beam"], weights: GeneratorWeights, mask: Bool[Array, "range beam"] | None, *,
+    closer: int, tile: tuple[int, int],
 ) -> Float[Array, "range beam"]:  # fmt: skip
     """`segment`, compiled."""
     image = jnp.asarray(image, jnp.float32)
@@ -121,7 +117,7 @@ def _segment(
         # Tiles and closer looks, mirrored or not, all go through this one call, so the network is compiled once.
         plain, mirrored = jax.lax.map(lambda job: _ask(weights, *job), (pair, wanted))
         answer = jnp.where(is_tile, plain, (plain + mirrored[:, ::-1]) / 2)
-        state = jax.lax.cond(is_tile, _blend, partial(_paste, unsure), state, answer, box, state.wanted[k])
+        state = jax.lax.cond(is_tile, _blend, _paste, state, answer, box, state.wanted[k])
         last = k == count - 1
         return jax.lax.cond(last, partial(_after_tiles, mask=mask, closer=closer), lambda s: s, state), None
 
@@ -176,19 +172,16 @@ def _after_tiles(state: _Seen, mask: Bool[Array, "range beam"] | None, closer: i
     )
 
 
-def _paste(
-    unsure: Float[Array, ""] | float, state: _Seen, answer: Float[Array, "height width"], box: Box,
-    wanted: Bool[Array, ""],
-) -> _Seen:  # fmt: skip
+def _paste(state: _Seen, answer: Float[Array, "height width"], box: Box, wanted: Bool[Array, ""]) -> _Seen:
     """Replace the map by a closer look's answer, in the pixels that lie completely inside its box.
 
-    Where the closer look is less sure than the map, their mean is used, in which it has the weight `unsure`: an object
-    that its box cuts off is not lost.
+    Where the closer look is less sure than the map, their mean is used, so that an object that its box cuts off is not
+    lost.
     """
     shape = state.grey.shape[0], state.grey.shape[1]
     look = paste_patch(answer, box, shape)
     surer = jnp.abs(look - BACKGROUND) >= jnp.abs(state.grey - BACKGROUND)
-    joined = jnp.where(surer, look, unsure * look + (1 - unsure) * state.grey)
+    joined = jnp.where(surer, look, (look + state.grey) / 2)
     return state._replace(grey=jnp.where(pixels_inside(box, shape) & wanted, joined, state.grey))
 
 

@@ -87,21 +87,6 @@ def test_a_closer_look_is_at_the_object():
     assert box.rows < 0.5 * image.shape[0] and box.columns < 0.7 * image.shape[1]
 
 
-@pytest.mark.parametrize("unsure", [0.0, 0.3, 1.0])
-def test_a_closer_look_replaces_what_is_less_sure_and_is_averaged_with_what_is_surer(unsure):
-    """The map is 0.9 and the answer is 0.6 in one half of its box, where it is less sure, and 0 in the other."""
-    box, shape = Box(8.0, 4.0, 32.0, 16.0), (64, 32)
-    answer = np.where(np.arange(128) < 64, 0.6, 0.0).astype(np.float32)[:, None] * np.ones(128, np.float32)
-    before = tiled._Seen(jnp.zeros((2, *shape)), jnp.full(shape, 0.9), jnp.zeros((1, 4)), jnp.array([True]))
-    after = np.asarray(tiled._paste(unsure, before, jnp.asarray(answer), box, jnp.bool_(True)).grey)
-    np.testing.assert_allclose(after[10:22, 6:18], unsure * 0.6 + (1 - unsure) * 0.9, atol=1e-5)
-    np.testing.assert_allclose(after[26:38, 6:18], 0.0, atol=1e-5)
-    np.testing.assert_array_equal(after[:8], before.grey[:8])
-    np.testing.assert_array_equal(
-        tiled._paste(unsure, before, jnp.asarray(answer), box, jnp.bool_(False)).grey, before.grey
-    )
-
-
 def test_two_objects_and_an_empty_frame():
     image = np.full((512, 96), 0.5, np.float32)
     assert not find_objects(jnp.asarray(image), 3).found.any()
