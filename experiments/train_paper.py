@@ -2,6 +2,7 @@
 
 python -m experiments.train_paper [--seeds 0 1 2] [--preset smoke] [--help]
 python -m experiments.train_paper --recipe cpu --alone       the 'discriminative model' of §2.2
+python -m experiments.train_paper --recipe cpu --sets 3      a third of `cpu`, the short form of what ships
 
 `--into experiments/paper-cpu.safetensors` made the file beside this script, from seed 0; its threshold is that of
 `fit_threshold`. The second command trains the U-Net by cross-entropy alone; `discriminative.safetensors` is such a
@@ -51,6 +52,8 @@ class Settings:
     """Whose networks and pairs; see `sonarjax train`."""
     alone: bool = False
     """By cross-entropy alone, as the paper's 'discriminative model'."""
+    sets: int = 0
+    """Sets of pairs, fewer for a shorter training; 0 for the recipe's number."""
     small: bool = False
     """A training of seconds instead, which only shows that it runs."""
     into: str = ""
@@ -61,6 +64,7 @@ def run(settings: Settings, job: Job) -> Report:
     """Metrics of the best and of the last epoch, those of all epochs, and how fast it was."""
     recipe = find_recipe(settings.recipe)
     recipe = replace(discriminative(recipe) if settings.alone else recipe, run_seed=job.seed)
+    recipe = replace(recipe, sets=settings.sets or recipe.sets)
     if settings.small:
         recipe = replace(recipe, networks=replace(recipe.networks, width=4, discriminator_width=4), **SMALL)
     folder = job.folder / code_digest() / "training"  # never on from other code's checkpoint
