@@ -15,7 +15,7 @@ from __future__ import annotations
 import os
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -89,6 +89,8 @@ class Settings:
     """The segmenter judged, beside `none`."""
     trainings: tuple[str, ...] = ()
     """Weights files of further trainings of it: each number becomes the mean of all, with its largest deviation."""
+    rule_of: str = ""
+    """Segmenter whose rule decides where weights have none of their own; empty for eq. 5 and their threshold then."""
 
 
 class Verdict(NamedTuple):
@@ -151,7 +153,7 @@ def _is_ranked(name: str, source: str) -> bool:
 def _judged(judged: OutsideSet, settings: Settings) -> dict[str, dict[str, Any]]:
     """What each segmenter reaches, by name."""
     frames = judged.frames[:: settings.every]
-    found = {name: _verdict(judged, frames, name) for name in (*_segmenters(settings), "none")}
+    found = {name: _verdict(judged, frames, name, settings.rule_of) for name in (*_segmenters(settings), "none")}
     own = np.array([frame.is_target for frame in frames])
     return {
         name: _summary(ours, own) | _against(ours, found["none"], own) | {"ranked": _ranked(ours, own)}
@@ -159,21 +161,24 @@ def _judged(judged: OutsideSet, settings: Settings) -> dict[str, dict[str, Any]]
     }
 
 
-def _verdict(judged: OutsideSet, frames: Sequence[OutsideFrame], segmenter: str) -> Verdict:
+def _verdict(judged: OutsideSet, frames: Sequence[OutsideFrame], name: str, rule_of: str) -> Verdict:
     """A recognizer for each sonar; a frame that ends in an error scores nothing.
 
     Raises SonarjaxError for a segmenter with neither a rule nor a threshold.
     """
-    threshold = None if loaded(segmenter).rule else threshold_of(segmenter)
+    segmenter = loaded(name)
+    if rule_of and segmenter.rule is None:
+        segmenter = replace(segmenter, rule=loaded(rule_of).rule)
+    threshold = None if segmenter.rule else threshold_of(name)
     groups: dict[int, list[int]] = defaultdict(list)
     for k, frame in enumerate(frames):
         groups[id(frame.sonar)].append(k)
     score, error, std = (np.full(len(frames), np.nan) for _ in range(3))
     identified = np.zeros(len(frames), bool)
-    progress = tqdm(total=len(frames), desc=f"{judged.name}, {segmenter}", unit="frame", leave=False, disable=None)
+    progress = tqdm(total=len(frames), desc=f"{judged.name}, {name}", unit="frame", leave=False, disable=None)
     for members in groups.values():
         sonar = frames[members[0]].sonar
-        recognizer = sj.Recognizer(judged.target, sonar, segmenter=loaded(segmenter), engine=engine())
+        recognizer = sj.Recognizer(judged.target, sonar, segmenter=segmenter, engine=engine())
         for k in members:
             progress.update()
             try:

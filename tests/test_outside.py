@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from experiments import fit_decision, outside
 from experiments.common.outside import OutsideFrame, OutsideSet
 from experiments.common.runs import Job
 from experiments.common.scores import area
+from experiments.common.segmenters import loaded
 from experiments.common.validation import shown_in, symmetric_scenes
 from experiments.fit_decision import Measured
 from experiments.outside import Verdict
@@ -98,7 +100,7 @@ def test_several_trainings_give_a_mean_and_its_largest_deviation(
     """One training finds every target, the other every second one."""
     own = np.tile([True, True, False, False], 20)
 
-    def verdict(_: Any, frames: Any, name: str) -> Verdict:
+    def verdict(_: Any, frames: Any, name: str, rule_of: str) -> Verdict:
         found = own if name != "second" else own & (np.arange(len(own)) % 2 == 0)
         return Verdict(own + 0.1, found, np.linspace(0.1, 1.0, len(own)), np.linspace(0.1, 1.0, len(own)))
 
@@ -114,6 +116,23 @@ def test_several_trainings_give_a_mean_and_its_largest_deviation(
     assert row["right"] == "0.875 ± 0.125" and row["identified"] == "0.750 ± 0.250" and row["refused"] == 1.0
     assert [one["rows"][0]["right"] for one in report["trainings"]] == [1.0, 0.75]
     assert "0.875 ± 0.125" in outside.table(report)
+
+
+def test_the_rule_of_another_segmenter_decides_for_weights_without_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    used: list[tuple[Any, float | None]] = []
+
+    def recognizer(*_: Any, segmenter: sj.Segmenter, engine: Any) -> Any:
+        found = SimpleNamespace(score=0.9, yaw=0.0, yaw_std=0.1, identified=True)
+        return lambda image, threshold: used.append((segmenter, threshold)) or found
+
+    monkeypatch.setattr(sj, "Recognizer", recognizer)
+    frame = OutsideFrame(np.zeros((2, 2)), sj.Sonar.preset("didson-hf", tilt=0.3, height=0.9), True, 0.0)
+    judged = OutsideSet("judge", sj.objects.target(), [frame])
+    for name, rule_of in (("paper-cpu", ""), ("paper-cpu", "pix2pix"), ("none", "pix2pix")):
+        assert outside._verdict(judged, judged.frames, name, rule_of).identified.all()
+    rules, thresholds = [segmenter.rule for segmenter, _ in used], [threshold for _, threshold in used]
+    assert rules == [None, loaded("pix2pix").rule, loaded("none").rule]
+    assert thresholds == [loaded("paper-cpu").threshold, None, None]
 
 
 def test_a_score_is_no_higher_than_the_probability_that_anything_is_shown() -> None:
