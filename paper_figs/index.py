@@ -27,8 +27,9 @@ NOT_RUN, DRAWN = "not run", "drawn"
 ABOUT = """# Figures
 
 The paper's figures, tables and numbers, and our own, drawn from what experiments left in `runs/`: nothing is
-simulated or trained here. This table is written by `python -m paper_figs --index`. Its numbers and pictures are those of the
-runs named at its end. Those from before 2026-11-26 used an earlier network, and tables in docs/ may come from newer runs.
+simulated or trained here. This table is written by `python -m paper_figs --index`. Its numbers and pictures are those
+of the runs named at its end. Those from before 2026-11-26 used an earlier network, and tables in docs/ may come from
+newer runs.
 
 ```
 python -m experiments.reproduce_paper    # the experiment that an item needs: see the table

@@ -25,10 +25,12 @@ def mesh_files(given: Sequence[str], option: str) -> dict[str, str]:
         Paths by stem.
 
     Raises:
-        SonarjaxError: A folder holds no mesh, a stem is not in UTF-8, or two files have the same stem.
+        SonarjaxError: A name is empty, a folder holds no mesh, a stem is not in UTF-8, or two files have the same stem.
     """
     files: dict[str, str] = {}
     for one in given:
+        if not one:  # pathlib would take it for the current folder
+            raise SonarjaxError(f"{option}: expected a mesh file or a folder of meshes, got ''")
         for path in _of_folder(Path(one), option) if Path(one).is_dir() else [one]:
             stem = Path(path).stem
             if not is_text(stem):

@@ -138,7 +138,7 @@ def _explained(name: str) -> Iterator[None]:
     try:
         yield
     except FileNotFoundError as error:
-        raise SonarjaxError(f"{name}: no such file") from error
+        raise SonarjaxError(f"{name or repr(name)}: no such file") from error
     except MemoryError as error:
         raise SonarjaxError(f"{name}: the file is too large for the free memory") from error
     except SonarjaxError:

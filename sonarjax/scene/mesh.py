@@ -25,6 +25,7 @@ from sonarjax.records import record, static
 from sonarjax.scene.limits import check_coordinates, check_face_count
 from sonarjax.scene.mesh_file import check_mesh_file, reading_problem
 from sonarjax.scene.slicing import has_crossing_triangles, most_crossings, most_front
+from sonarjax.scene.text_mesh import check_complete, source_for_trimesh
 
 CREASE_ANGLE = math.radians(20.0)  # an edge that bends more is an edge of the body, not of its tessellation
 MAX_EVENTS = 64
@@ -67,6 +68,9 @@ class Mesh:
     @classmethod
     def load(cls, path: str | Path, unit_m: float | None = None) -> Mesh:
         """Read a surface from any format that trimesh reads (STL, OBJ, PLY, GLB, 3MF, OFF, …).
+
+        Axes are taken as the file stores them, with z up. The convention of glTF (GLB) is y up: such a file lies on
+        its side.
 
         Args:
             path: The mesh file.
@@ -284,12 +288,13 @@ _UNIT_M = {
 def _read_surface(path: Path) -> tuple[np.ndarray, np.ndarray, str | None]:
     try:
         check_mesh_file(path)
-        loaded = trimesh.load(path, process=False)
+        loaded = trimesh.load(**source_for_trimesh(path), process=False)
         if isinstance(loaded, trimesh.Scene):  # a scene may hold one small geometry a million times
             check_face_count(_faces_of_scene(loaded), str(path))
         surface = loaded.to_mesh() if isinstance(loaded, trimesh.Scene) else loaded
         if not isinstance(surface, trimesh.Trimesh):
             raise SonarjaxError(f"{path}: holds a {type(surface).__name__}, expected a surface of triangles")
+        check_complete(path, len(surface.faces))
         unit = surface.units if surface.units is not None else getattr(loaded, "units", None)
         return np.asarray(surface.vertices), np.asarray(surface.faces), unit
     except SonarjaxError:

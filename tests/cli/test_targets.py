@@ -45,6 +45,7 @@ def test_targets_that_cannot_be_used(complaint, meshes, place, tmp_path):
         (empty,): f"--target: {empty}: expected a folder of meshes, found no .stl, ",
         (brick, tmp_path / "word.stl"): "word.stl: not an STL file",
         (brick, "absent.obj"): "absent.obj: no such mesh",
+        ("",): "--target: expected a mesh file or a folder of meshes, got ''",
         (brick, place / "brick_mm.stl"): "brick_mm.stl: the mesh is ",
     }.items():
         options = [argument for one in given for argument in ("--target", one)]

@@ -156,6 +156,52 @@ def test_files_that_hold_no_surface(name, text, message, tmp_path):
     refused(tmp_path / name, message)
 
 
+@pytest.mark.parametrize(
+    ("name", "removed", "message"),
+    [
+        ("two.stl", b"endsolid", "an `endsolid` for each `solid`, got 1 for 2"),
+        ("two.ply", b"3 ", "could read 23 triangles"),
+        ("two.off", b"3 ", "could read 23 triangles"),
+        ("two.obj", b" ", "expected three or more corners"),
+    ],
+)
+def test_text_files_that_lack_their_last_part(name, removed, message, tmp_path):
+    """Cut before the last word of this kind; trimesh reads the rest as if it were all."""
+    text = {"stl": {"file_type": "stl_ascii"}, "ply": {"encoding": "ascii"}}.get(name[-3:], {})
+    parts = [two_boxes().split()[k].export(file_type="stl_ascii") for k in (0, 1)] if name == "two.stl" else []
+    content = "".join(parts) if parts else two_boxes().export(file_type=name[-3:], **text)
+    content = (content if isinstance(content, bytes) else content.encode()).rstrip()
+    (tmp_path / name).write_bytes(content)
+    assert Mesh.load(tmp_path / name).n_faces == 24
+    (tmp_path / name).write_bytes(content[: content.rindex(removed)])
+    refused(tmp_path / name, message)
+
+
+def test_relative_vertex_numbers_count_from_the_line_of_their_face(tmp_path):
+    """Each triangle right after its corners, as some exporters write."""
+    corners = two_boxes().triangles
+    lines = [f"v {x:.9f} {y:.9f} {z:.9f}" for triangle in corners for x, y, z in triangle]
+    faces = ["f -3/-1 -2/-1 -1/-1"] * len(corners)
+    text = [line for k, face in enumerate(faces) for line in (*lines[3 * k : 3 * k + 3], face)]
+    (tmp_path / "relative.obj").write_text("\n".join(text))
+    assert np.allclose(surface(Mesh.load(tmp_path / "relative.obj")).bounds, two_boxes().bounds, atol=1e-6)
+
+
+def test_polygons_are_read_where_a_fan_suits_them(tmp_path):
+    """A convex pentagon as one face; an L, whose fan would fill the notch, is refused."""
+    angles = np.linspace(0, 2 * np.pi, 5, endpoint=False)
+    outlines = {
+        "convex": np.stack([np.cos(angles), np.sin(angles)], axis=1),
+        "concave": np.array([[1, 0], [1, 1], [0.5, 1], [0.5, 0.5], [0, 0.5], [0, 0]]),
+    }
+    for name, outline in outlines.items():
+        text = [f"v {x} {y} 0" for x, y in outline] + ["f " + " ".join(map(str, range(1, len(outline) + 1)))]
+        (tmp_path / f"{name}.obj").write_text("\n".join(text))
+    area = surface(Mesh.load(tmp_path / "convex.obj")).area
+    assert area == pytest.approx(2.5 * np.sin(2 * np.pi / 5), rel=1e-5)
+    refused(tmp_path / "concave.obj", "expected a convex polygon")
+
+
 def test_a_point_cloud_is_no_surface(tmp_path):
     trimesh.PointCloud(np.random.default_rng(0).random((20, 3))).export(tmp_path / "cloud.ply")
     refused(tmp_path / "cloud.ply", "PointCloud, expected a surface")

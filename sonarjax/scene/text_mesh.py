@@ -1,0 +1,143 @@
+"""Meshes in text files: what trimesh would read as another surface without a word is put right, or refused.
+
+trimesh counts relative vertex numbers of OBJ from the end of the file instead of from the face's line. It triangulates
+every polygon as a fan, which only suits convex ones, and it takes what is left of a truncated file for all of it.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sonarjax.io.errors import SonarjaxError
+
+HEADER_BYTES = 4096
+"""How much of the start of a file is read to find its header [bytes]."""
+STL_WORDS = (b"solid", b"endsolid", b"facet")
+"""What begins a solid, ends it, and begins a triangle."""
+UNUSUAL_FACE = re.compile(rb"^f(?!(?:[ \t]+[0-9][^\s#]*){3}[ \t\r]*$)[ \t]", re.MULTILINE)
+"""A line of an OBJ file whose face is no triangle, has relative numbers, a comment, or goes on in the next line."""
+INWARD = -0.05
+"""Sine of a polygon's turn at a corner below which it counts as turning inward; above it a fan's error is small."""
+
+
+def source_for_trimesh(path: Path) -> dict[str, Any]:
+    """What `trimesh.load` is to read: the file, or the text of an OBJ file with absolute vertex numbers.
+
+    Raises:
+        SonarjaxError: A face of an OBJ file has fewer than three corners, or is a polygon that is not convex.
+    """
+    if path.suffix.lower() != ".obj":
+        return {"file_obj": path}
+    text = path.read_bytes()
+    if not UNUSUAL_FACE.search(text):  # the loops below take as long as trimesh
+        return {"file_obj": path}
+    lines = text.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines()
+    faces = [line for line in lines if line.startswith((b"f ", b"f\t"))]
+    relative = any(b" -" in line or b"\t-" in line for line in faces)
+    if relative:
+        lines = list(_absolute(lines))
+        faces = [line for line in lines if line.startswith(b"f ")]
+    _check_polygons(path, lines, faces)
+    return {"file_obj": io.BytesIO(b"\n".join(lines)), "file_type": "obj"} if relative else {"file_obj": path}
+
+
+def check_complete(path: Path, triangles: int) -> None:
+    """Raise a SonarjaxError if a text file announces or begins more faces than the `triangles` that were read."""
+    ending = path.suffix.lower()
+    if ending == ".stl":
+        _check_stl(path, path.read_bytes(), triangles)
+        return
+    faces = {".obj": _faces_of_obj, ".ply": _faces_of_ply, ".off": _faces_of_off}.get(ending, lambda _: 0)(path)
+    if triangles < faces:
+        raise SonarjaxError(f"{path}: expected {faces} faces, could read {triangles} triangles: truncated or corrupt")
+
+
+def _absolute(lines: Sequence[bytes]) -> Iterator[bytes]:
+    """The lines of an OBJ file, with faces of absolute vertex numbers alone: −1 is the last vertex before the line."""
+    vertices = 0
+    for line in lines:
+        kind, *rest = line.split() or [b""]
+        vertices += kind == b"v"
+        if kind == b"f":
+            numbers = [_number(corner) for corner in rest]
+            line = b"f " + b" ".join(b"%d" % (n + vertices + 1 if n < 0 else n) for n in numbers)
+        yield line
+
+
+def _number(corner: bytes) -> int:
+    """The vertex number of a corner such as `3/1/2`. Raises ValueError where it is none."""
+    return int(corner.split(b"/", 1)[0])
+
+
+def _check_polygons(path: Path, lines: Sequence[bytes], faces: Sequence[bytes]) -> None:
+    """Raise a SonarjaxError for a face with fewer than three corners, or a polygon that is not convex."""
+    polygons = defaultdict(list)
+    for face in faces:
+        corners = face.split(b"#", 1)[0].split()[1:]
+        if len(corners) < 3:
+            raise SonarjaxError(f"{path}: face {_shown(face)}: expected three or more corners: truncated or corrupt")
+        if len(corners) > 3:
+            polygons[len(corners)].append(face)
+    if not polygons:
+        return
+    vertices = np.array([line.split()[1:4] for line in lines if line.startswith((b"v ", b"v\t"))], np.float64)
+    for alike in polygons.values():
+        numbers = np.array([[_number(c) for c in face.split(b"#", 1)[0].split()[1:]] for face in alike])
+        if numbers.min() < 1 or numbers.max() > len(vertices):
+            continue  # `Mesh` reports it
+        inward = np.flatnonzero(_turn_inward(vertices[numbers - 1]))
+        if len(inward):
+            raise SonarjaxError(
+                f"{path}: face {_shown(alike[inward[0]])}: expected a convex polygon: export the mesh as triangles"
+            )
+
+
+def _turn_inward(corners: np.ndarray) -> np.ndarray:
+    """Whether polygons (face, corner, 3) turn inward at any corner (face,), seen along their mean normal."""
+    edges = np.roll(corners, -1, axis=1) - corners
+    turns = np.cross(edges, np.roll(edges, -1, axis=1))
+    apart = corners - corners[:, :1]
+    normal = np.cross(apart, np.roll(apart, -1, axis=1)).sum(axis=1)[:, None]
+    length = np.linalg.norm(edges, axis=-1)
+    scale = length * np.roll(length, -1, axis=1) * np.linalg.norm(normal, axis=-1)
+    return ((turns * normal).sum(axis=-1) < INWARD * scale).any(axis=1)
+
+
+def _shown(face: bytes) -> str:
+    return repr(" ".join(face.decode(errors="replace").split())[:60])
+
+
+def _check_stl(path: Path, text: bytes, triangles: int) -> None:
+    """Raise a SonarjaxError if a text STL lacks the end of a solid, or a triangle. A binary one passes."""
+    if b"\0" in text[:HEADER_BYTES] or text.lstrip()[:5].lower() != b"solid":
+        return
+    begun, ended, facets = (len(re.findall(rb"^[ \t]*" + word + rb"\b", text, re.M | re.I)) for word in STL_WORDS)
+    if begun != ended:
+        raise SonarjaxError(f"{path}: expected an `endsolid` for each `solid`, got {ended} for {begun}: truncated?")
+    if facets != triangles:
+        raise SonarjaxError(f"{path}: expected {facets} triangles, could read {triangles}: truncated or corrupt")
+
+
+def _faces_of_obj(path: Path) -> int:
+    return len(re.findall(rb"^[ \t]*f[ \t]", path.read_bytes(), re.M))
+
+
+def _faces_of_ply(path: Path) -> int:
+    with open(path, "rb") as file:
+        found = re.search(rb"element\s+face\s+([0-9]{1,18})\s", file.read(HEADER_BYTES))
+    return int(found[1]) if found else 0
+
+
+def _faces_of_off(path: Path) -> int:
+    """The second number after `OFF`; comments begin with `#`."""
+    with open(path, "rb") as file:
+        words = re.sub(rb"#[^\n]*", b"", file.read(HEADER_BYTES)).split()
+    counts = words[1:3] if words[:1] and words[0].upper().endswith(b"OFF") else []
+    return int(counts[1]) if len(counts) == 2 and counts[1].isdigit() else 0
