@@ -32,7 +32,7 @@ class Hypothesis:
     """Position to port [m], likewise."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Recognition:
     """What a `Recognizer` found in one frame."""
 

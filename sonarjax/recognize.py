@@ -45,6 +45,7 @@ from sonarjax.refine import (
 )
 from sonarjax.refine.free import wrapped
 from sonarjax.render import WindowSize
+from sonarjax.render.simulate import check_sonar_alone
 from sonarjax.scene import Mesh, Pose
 from sonarjax.segment import DEFAULT_SEGMENTER, IdentificationRule, Segmenter, load_segmenter
 from sonarjax.sonar import Sonar, checked_image
@@ -99,7 +100,7 @@ class Recognizer:
             SonarjaxError: There is no target, an argument is of another kind, the segmenter is unknown, no distance is
                 in view or too many are, or a mesh is larger than the sonar's maximum range.
         """
-        check_kind(sonar, Sonar, "sonar")
+        check_sonar_alone(sonar)
         check_kind(search, SearchConfig, "search")
         if refine is not None and not isinstance(refine, RefineConfig):
             raise SonarjaxError(f"refine: expected a RefineConfig, or None for no refinement, got {refine!r}")

@@ -20,6 +20,7 @@ from sonarjax.calibrate.parameters import INCIDENCE, INCIDENCE_DEG, changed_sona
 from sonarjax.calibrate.solver import Fit
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.given import check_kind
 from sonarjax.match import SearchConfig
 from sonarjax.refine.free import wrapped
 from sonarjax.scene import Mesh, Pose
@@ -44,7 +45,7 @@ FIRST_FRAMES = 10
 """Most frames of the first fit, whose result only has to be good enough to search again."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Calibration:
     """What `calibrate` found."""
 
@@ -147,6 +148,7 @@ def calibrate(
             of the frames.
     """
     check_kinds(mesh, sonar)
+    check_kind(search, SearchConfig, "search")
     names = check_free(free)
     std = prior_std(names, prior, sonar)
     stated = sonar.geometry_std or GeometryStd()

@@ -12,15 +12,18 @@ import numpy as np
 
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.given import check_kind, image_array, number_array, shown
+from sonarjax.render.fits import check_single
 from sonarjax.render.region import image_azimuth
-from sonarjax.scene import Mesh, Pose
+from sonarjax.render.simulate import check_sonar_alone
+from sonarjax.scene import Pose
 from sonarjax.sonar import Sonar
+from sonarjax.sonar.image import check_values
 
 
 def check_kinds(mesh: Any, sonar: Any) -> None:
-    """Raise a SonarjaxError unless these are a mesh and a sonar."""
-    check_kind(mesh, Mesh, "mesh")
-    check_kind(sonar, Sonar, "sonar")
+    """Raise a SonarjaxError unless these are one mesh and one sonar."""
+    check_single(mesh, "mesh")
+    check_sonar_alone(sonar)
 
 
 def check_frames(frames: Any, masks: Any, sonar: Sonar) -> tuple[list[np.ndarray], list[np.ndarray | None]]:
@@ -46,8 +49,9 @@ def check_frames(frames: Any, masks: Any, sonar: Sonar) -> tuple[list[np.ndarray
                 raise SonarjaxError(
                     f"{name}[{number}]: expected shape {sonar.shape} (range, beam) of the sonar, got {shape}"
                 )
-        if not np.isfinite(image if mask is None else image[mask]).all():
-            raise SonarjaxError(f"frames[{number}]: holds NaN or infinite values")
+        if mask is not None and not mask.any():
+            raise SonarjaxError(f"masks[{number}]: expected at least one pixel that was measured, all are False")
+        check_values(image if mask is None else image[mask], f"frames[{number}]")
     if len(images) > 1 and all(np.array_equal(image, images[0]) for image in images):
         raise SonarjaxError(f"frames: expected different frames, all {len(images)} are the same")
     filled = [i if m is None else np.where(m, i, 0.0) for i, m in zip(images, measured, strict=True)]
@@ -64,10 +68,10 @@ def starts_of(poses: Pose, count: int, sonar: Sonar) -> list[Pose]:
     if poses.shape != (count,):
         raise SonarjaxError(f"poses: expected one for each of the {count} frames, got shape {poses.shape}")
     starts = [jax.tree.map(lambda v, k=k: np.asarray(v)[k], poses) for k in range(count)]
-    beams = np.asarray(sonar.azimuth)
+    edges = np.asarray(sonar.azimuth_edges)
     for number, pose in enumerate(starts):
         slant, azimuth = math.hypot(pose.x, pose.y, float(sonar.height)), image_azimuth(pose.x, pose.y, sonar)
-        if not (sonar.range_min < slant < sonar.range_max and beams.min() < azimuth < beams.max()):
+        if not (sonar.range_min < slant < sonar.range_max and edges[0] < azimuth < edges[-1]):
             place = f"x {float(pose.x):.3g} m, y {float(pose.y):.3g} m"
             raise SonarjaxError(f"poses[{number}]: expected the object in view, got {place}")
     return starts

@@ -49,7 +49,8 @@ class LeanSearchConfig:
         if not lifts or not all(is_number(lift) and math.isfinite(lift) for lift in lifts):
             raise SonarjaxError(f"lifts: expected at least one finite number [m], got {shown(self.lifts)}")
         object.__setattr__(self, "lifts", tuple(float(lift) for lift in lifts))
-        if not (0 < self.lean < math.pi / 2 and 0 < self.apart < math.pi):
+        angles = self.lean, self.apart
+        if not (all(is_number(angle) for angle in angles) and 0 < self.lean < math.pi / 2 and 0 < self.apart < math.pi):
             raise SonarjaxError(f"LeanSearchConfig: expected positive angles for lean and apart, got {self}")
 
 

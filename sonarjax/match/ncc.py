@@ -55,7 +55,7 @@ class PreparedBank:
     templates: Float[Array, "*batch yaw h w"]
     """The bank's templates."""
     spectra: TemplateSpectra
-    """Their spectra for one frame shape."""
+    """Their spectra for one frame shape. Matching uses these alone: for other templates call `prepare_bank` again."""
 
 
 def prepare_bank(bank: Any, image_shape: tuple[int, int], *, masked: bool = False) -> PreparedBank:
@@ -177,6 +177,8 @@ def _match(
         valid = jnp.ones(shape, bool) if mask is None else _as_mask("mask", mask, shape)
         return _match_weighted(image, templates, valid, template_mask, min_valid, reduce)
     spectra = getattr(bank, "spectra", None)
+    if spectra is not None and (spectra.yaw_count, *spectra.template_shape) != templates.shape[-3:]:
+        raise SonarjaxError("bank: its spectra are of other templates: make them anew with `prepare_bank`")
     if spectra is None or spectra.image_shape != shape or (mask is not None and spectra.squares is None):
         spectra = _spectra(templates, shape, mask is not None)
     if mask is None:

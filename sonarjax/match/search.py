@@ -16,7 +16,7 @@ import numpy as np
 
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import OutOfViewError, SonarjaxError
-from sonarjax.io.given import check_whole, is_number, shown
+from sonarjax.io.given import check_kind, check_whole, is_number, shown
 from sonarjax.match.compact import CompactBank, match_compact
 from sonarjax.match.echoes import echo_templates
 from sonarjax.match.ncc import PreparedBank, match_positions, prepare_bank
@@ -30,8 +30,10 @@ from sonarjax.render import (
     plan_window,
     template_bank,
 )
+from sonarjax.render.simulate import check_sonar_alone
 from sonarjax.scene import Mesh
 from sonarjax.sonar import Sonar
+from sonarjax.sonar.check import check_sonar
 
 Picture = Literal["map", "frame"]
 """What is searched: a semantic map, with semantic templates, or a sonar's frame, with echo templates."""
@@ -83,6 +85,7 @@ class SearchConfig:
             check_whole(getattr(self, name), 1, name)
         if not (is_number(self.range_step) and 0 < self.range_step < math.inf):
             raise SonarjaxError(f"range_step: expected a positive number of metres, got {shown(self.range_step)}")
+        check_kind(self.quality, RenderQuality, "quality")
         if not (is_number(self.lead) and self.lead >= 0):
             raise SonarjaxError(f"lead: expected a number of 0 or more, got {shown(self.lead)}")
 
@@ -143,12 +146,14 @@ class TargetSearch:
             compact: Keep few banks, and small ones, at some cost in time.
 
         Raises:
-            SonarjaxError: No distance is in view or too many are, the mesh is larger than the sonar's range, or
-                `decimation` larger than its number of range bins.
+            SonarjaxError: No distance is in view or too many are, the mesh is larger than the sonar's range, the
+                `decimation` larger than its number of range bins, or a number of the sonar impossible.
         """
         if config.decimation > sonar.n_ranges:
             limit = f"at most the {sonar.n_ranges} range bins of a frame"
             raise SonarjaxError(f"decimation: expected {limit}, got {config.decimation}")
+        check_sonar_alone(sonar)
+        check_sonar(sonar, "sonar")  # `Sonar.replace` does not
         check_fits(mesh, sonar, name)
         self.mesh, self.sonar, self.config, self.name, self.engine = mesh, sonar, config, name, engine
         self.compact = compact
@@ -157,6 +162,15 @@ class TargetSearch:
         self._lock = threading.Lock()  # several frames may be searched at once: each bank is rendered by the first
         self.distances = _ground_ranges(sonar, config.range_step)
         self.size = _bank_window(mesh, sonar, float(self.distances[0]))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Everything but the lock, which cannot be copied or sent to another process."""
+        return {name: value for name, value in vars(self).items() if name != "_lock"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """The copy gets a lock of its own."""
+        vars(self).update(state)
+        self._lock = threading.Lock()
 
     def find(self, image: np.ndarray, mask: np.ndarray | None = None, picture: Picture = "map") -> Match:
         """Find the best match over all distances: a coarse search, then banks near its best.

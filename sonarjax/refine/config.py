@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.io.given import check_whole, is_number, positive_numbers, several, shown
+from sonarjax.io.given import check_kind, check_whole, is_number, positive_numbers, several, shown
 from sonarjax.refine.free import ALL
 from sonarjax.refine.template import VIEWS, Template
 from sonarjax.render import RenderQuality
@@ -64,6 +64,7 @@ class RefineConfig:
             ("blurs", "positive numbers of range bins", None),
         ):
             object.__setattr__(self, name, positive_numbers(getattr(self, name), expected, name, count))
+        check_kind(self.quality, RenderQuality, "quality")
         check_whole(self.iterations, 1, "iterations")
         check_whole(self.polish, 0, "polish")
         if not (is_number(self.sharpness) and 0 <= self.sharpness < math.inf):

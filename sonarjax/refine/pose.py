@@ -55,7 +55,7 @@ class PoseEstimate:
     start_score: Float[Array, "*batch"]
     """NCC of the start's template, over its own box with the same margin."""
     converged: Bool[Array, "*batch"]
-    """True if the last step was small and the result lies inside its bounds."""
+    """True if the last step was small and the result lies inside its bounds; False where the frame is constant."""
     determined: Bool[Array, "*batch"]
     """True if the result was polished to an interior minimum, and so has a derivative; always False without
     polishing.
@@ -221,7 +221,9 @@ def _check_given(mesh: Any, sonar: Any, start: Any, config: Any) -> None:
 
 
 def _window_within(sonar: Sonar, window: WindowSize | None) -> WindowSize | None:
-    """The window. Raises a SonarjaxError if it is larger than the frame."""
+    """The window. Raises a SonarjaxError if it is none, or larger than the frame."""
+    if window is not None:
+        check_kind(window, WindowSize, "window")
     if window is not None and any(n > most for n, most in zip(window.shape, sonar.shape, strict=True)):
         raise SonarjaxError(f"window: expected at most the frame's {sonar.shape} pixels, got {window.shape}")
     return window
@@ -354,6 +356,7 @@ def _refine(
     step = jnp.clip(best.step + last, *bounds)
     inside = jnp.abs(step) < INSIDE * bounds[1]
     converged = (inside | held)[:count].all() & (left[:count].max() < SETTLED_SHARE) & jnp.isfinite(best.cost)
+    converged &= score != 0  # that of a constant frame
     determined = jnp.zeros((), bool)
     if polished:
         fitted = _as_solved(problem, solution)

@@ -243,5 +243,9 @@ def is_kept(estimate: YawEstimate) -> Any:
 
 def kept_pose(estimate: YawEstimate, start: Pose) -> Pose:
     """The refined poses, or `start` where the refined pose is not kept (see `is_kept`)."""
-    pairs = ((estimate.x, start.x), (estimate.y, start.y), (estimate.yaw, start.yaw))
-    return Pose(*(np.where(is_kept(estimate), np.asarray(new), np.asarray(old)) for new, old in pairs))
+    kept = is_kept(estimate)
+    refined: dict[str, Any] = {
+        name: np.where(kept, np.asarray(getattr(estimate, name)), np.asarray(getattr(start, name)))
+        for name in ("x", "y", "yaw")
+    }
+    return replace(start, **refined)

@@ -39,7 +39,7 @@ class YawEstimate:
     start_score: Float[Array, "*batch"]
     """NCC of the start's template, over its own box with the same margin."""
     converged: Bool[Array, "*batch"]
-    """True if the last step was small and the result lies inside its bounds."""
+    """True if the last step was small and the result lies inside its bounds; False where the frame is constant."""
     determined: Bool[Array, "*batch"]
     """True if the result was polished to an interior minimum, and so has a derivative; always False without
     polishing.

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sonarjax.render.platform import platform_span
-from sonarjax.render.segments import plane_line
+from sonarjax.render.segments import NEAR_M, plane_line
 from sonarjax.render.slabs import Slabs
 from sonarjax.render.spans import Ends, Scene, corners_of, floor_line, interval_range, reach_of, trace_tau
 from sonarjax.render.vector import normal_of, unit
@@ -105,7 +105,7 @@ def _cells(ends: Ends, azimuth: Float[Array, "slab"], scene: Scene, cells: int) 
     normal = unit(normal_of(corners))
     slant = jnp.sqrt(1 + tau * tau)
     cosine = jnp.abs(normal.turned(theta)[0][..., None] + normal.z[..., None] * tau) / slant
-    nearest, farthest = (reach[..., None] * slant for reach in reach_of(corners, theta))
+    nearest, farthest = (jnp.maximum(reach, NEAR_M)[..., None] * slant for reach in reach_of(corners, theta))
     nearest, farthest = (
         jnp.minimum(nearest[..., 1:], nearest[..., :-1]),
         jnp.maximum(farthest[..., 1:], farthest[..., :-1]),

@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.given import check_kind
 from sonarjax.scene import Mesh
 from sonarjax.scene.limits import MILLIMETRES
 from sonarjax.sonar import Sonar
+
+
+def check_single(mesh: Any, name: str) -> None:
+    """Raise a SonarjaxError for a stack of meshes, or for anything that is no mesh."""
+    check_kind(mesh, Mesh, name)
+    if mesh.closed.shape:
+        raise SonarjaxError(f"{name}: expected one mesh, got a stack of shape {mesh.closed.shape}")
 
 
 def check_fits(mesh: Mesh, sonar: Sonar, name: str) -> None:
@@ -21,8 +31,9 @@ def check_fits(mesh: Mesh, sonar: Sonar, name: str) -> None:
         name: Name of the mesh; the error message begins with it.
 
     Raises:
-        SonarjaxError: The mesh is too long.
+        SonarjaxError: The mesh is too long, a stack of meshes, or no mesh.
     """
+    check_single(mesh, name)
     extent = float(np.ptp(np.asarray(mesh.vertices), axis=0).max())
     reach = float(np.max(np.asarray(sonar.range_max)))
     if extent > reach:

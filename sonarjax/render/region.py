@@ -29,6 +29,10 @@ class WindowSize:
     object_columns: int | None = None
     """Most beams that the object itself can touch; None for all."""
 
+    def __post_init__(self) -> None:
+        """Turn a list into a tuple, which can be hashed."""
+        object.__setattr__(self, "shape", tuple(self.shape))
+
     def holds(self, other: WindowSize) -> bool:
         """Tell whether a window of this size is large enough wherever one of another size is.
 

@@ -20,7 +20,7 @@ import trimesh
 from jaxtyping import Array, Bool, Float, Int
 
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.io.given import is_number, number_array, shown
+from sonarjax.io.given import is_number, listed, number_array, shown
 from sonarjax.records import record, static
 from sonarjax.scene.limits import check_coordinates, check_face_count
 from sonarjax.scene.mesh_file import check_mesh_file, reading_problem
@@ -211,14 +211,15 @@ def stack_meshes(meshes: Sequence[Mesh]) -> Mesh:
         A mesh whose arrays are (mesh, ...).
 
     Raises:
-        SonarjaxError: The sequence is empty.
+        SonarjaxError: The sequence is empty, or holds something other than single meshes.
 
     >>> from sonarjax.scene import objects
     >>> stack_meshes([objects.brick(), objects.target()]).vertices.shape[0]
     2
     """
-    if not meshes:
-        raise SonarjaxError("stack_meshes: expected at least one mesh")
+    meshes = listed(meshes, Mesh, "meshes")
+    if not meshes or any(mesh.closed.shape for mesh in meshes):
+        raise SonarjaxError(f"stack_meshes: expected at least one mesh, {'none stacked' if meshes else 'got none'}")
     vertices, faces, crease = (
         max(getattr(m, name).shape[0] for m in meshes) for name in ("vertices", "faces", "crease")
     )

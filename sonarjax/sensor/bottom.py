@@ -37,7 +37,8 @@ def ripple_brightness(
     Returns:
         Factor on the energy of the floor (range, beam).
     """
-    ground = jnp.sqrt(jnp.maximum(ranges**2 - jnp.asarray(sonar.height, jnp.float32) ** 2, 0.0))
+    square = ranges**2 - jnp.asarray(sonar.height, jnp.float32) ** 2
+    ground = jnp.sqrt(jnp.maximum(square, 1e-6))  # not 0, where the root has no derivative
     along = jnp.cos(jnp.asarray(sonar.azimuth, jnp.float32) - jnp.asarray(direction, jnp.float32))
     phase = 2 * jnp.pi * ground[:, None] * along / jnp.maximum(jnp.asarray(wavelength, jnp.float32), 1e-2)
     return 1 + jnp.asarray(depth, jnp.float32) * jnp.sin(phase)

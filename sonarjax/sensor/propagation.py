@@ -248,6 +248,7 @@ def late_reverberation(
     """
     rows = image.shape[0]
     step = jnp.asarray(range_bin, jnp.float32) / jnp.maximum(jnp.asarray(length, jnp.float32), 1e-3)
+    step = jnp.minimum(step, 80.0)  # exp of more is infinite; all of it arrives in the next bin anyway
     behind = jnp.arange(rows)[:, None] - jnp.arange(rows)[None, :]
     tail = jnp.where(behind > 0, jnp.exp(-step * jnp.maximum(behind, 0)), 0.0) * (jnp.exp(step) - 1)
     return jnp.asarray(share, jnp.float32) * (tail @ image)

@@ -22,7 +22,7 @@ from sonarjax.scene import Mesh, Pose
 from sonarjax.sonar import Sonar
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SizeEstimate:
     """What `fit_size` found."""
 

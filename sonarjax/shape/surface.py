@@ -67,7 +67,7 @@ class SurfaceConfig:
                 raise SonarjaxError(f"{name}: expected a number of 0 or more, got {shown(value)}")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SurfaceEstimate:
     """What `fit_surface` found."""
 

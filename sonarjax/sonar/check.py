@@ -47,7 +47,7 @@ _RULES = (
     _Rule("range_max", lambda v: v > 0, "more than 0 m", RANGE_LIMIT_M, " m"),
     _Rule("elevation_aperture", lambda v: (v > 0) & (v < 180), "between 0° and 180°", degrees=True),
     _Rule("tilt", lambda v: abs(v) <= 90, "between -90° and 90°", degrees=True),
-    _Rule("roll", lambda v: abs(v) <= 180, "between -180° and 180°", degrees=True),
+    _Rule("roll", lambda v: abs(v) <= 90, "between -90° and 90°", degrees=True),
     _Rule("height", lambda v: v > 0, "more than 0 m", RANGE_LIMIT_M, " m"),
     _Rule("frequency", lambda v: v > 0, "more than 0 Hz", 1e9, " Hz"),
     _Rule("sound_speed", lambda v: v > 0, "more than 0 m/s", 1e5, " m/s"),
@@ -78,8 +78,9 @@ def check_sonar(sonar: S, source: str, names: Mapping[str, str] | None = None) -
 
     Raises:
         SonarjaxError: A field has the wrong type, is NaN or infinite, or lies outside its limits; azimuths do not
-            ascend; a single beam has no width; there are too many pixels; or the range window ends before it starts, or
-            has range bins too short for float32. The message names the first such field.
+            ascend; a single beam has no width; there are too many pixels; the range window ends before it starts, or
+            has range bins too short for float32; or the aperture reaches past straight down. The message names the
+            first such field.
     """
     checked: Any = sonar
     names = names or {}
@@ -100,6 +101,7 @@ def check_sonar(sonar: S, source: str, names: Mapping[str, str] | None = None) -
         raise SonarjaxError(f"{source}: {name} must be more than 0° where there is a single beam, got 0°")
     _check_pixels(checked, source)
     _check_window(checked, source, names)
+    _check_nadir(checked, source, names)
     return sonar
 
 
@@ -178,4 +180,16 @@ def _check_window(sonar: Any, source: str, names: Mapping[str, str]) -> None:
         raise SonarjaxError(
             f"{source}: {first} and {last} must lie farther apart, got {near} and {far}: "
             f"{sonar.n_ranges} range bins of {bins.min():.2g} m, expected at least {shortest.max():.2g} m each"
+        )
+
+
+def _check_nadir(sonar: Any, source: str, names: Mapping[str, str]) -> None:
+    """The renderer takes the floor's range to grow with elevation, which ends straight down."""
+    if _traced(sonar.tilt, sonar.elevation_aperture):
+        return
+    lowest = np.degrees(np.asarray(sonar.tilt, np.float64) + np.asarray(sonar.elevation_aperture, np.float64) / 2)
+    if np.any(lowest > 90 + 1e-3):
+        tilt, aperture = (names.get(field, field) for field in ("tilt", "elevation_aperture"))
+        raise SonarjaxError(
+            f"{source}: {tilt} plus half of {aperture} must be at most 90° (straight down), got {lowest.max():g}°"
         )

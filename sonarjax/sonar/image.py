@@ -45,11 +45,11 @@ def checked_image(
         raise SonarjaxError(f"mask: expected the image's shape {image.shape}, got {mask.shape}")
     if mask is not None and not mask.any():
         raise SonarjaxError("mask: expected at least one pixel that was measured, all are False")
-    _check_values(image if mask is None else image[mask], name)
+    check_values(image if mask is None else image[mask], name)
     return (image if mask is None else np.where(mask, image, UNMEASURED).astype(np.float32)), mask
 
 
-def _check_values(values: Float[np.ndarray, "*pixel"], name: str) -> None:
+def check_values(values: Float[np.ndarray, "*pixel"], name: str) -> None:
     """Raise a SonarjaxError for values that are not finite or far outside [0, 1]; both extremes of NaN are NaN."""
     low, high = float(values.min()), float(values.max())
     if not (math.isfinite(low) and math.isfinite(high)):

@@ -120,7 +120,13 @@ def _written(value: Any, key: str, path: str | Path) -> str:
     if number is None or number.ndim:
         raise SonarjaxError(f"{path}: {key} must be one number to be written to a file, got {_shown(value)}")
     plain = number.item()
-    return repr(round(math.degrees(plain), 12) if _is_angle(key) else plain)
+    return repr(_degrees(plain) if _is_angle(key) else plain)
+
+
+def _degrees(angle: float) -> float:
+    """An angle [rad] in degrees, without the digits that come of rounding where it reads back the same without."""
+    short = round(math.degrees(angle), 12)
+    return short if math.radians(short) == angle else math.degrees(angle)
 
 
 def _is_angle(key: str) -> bool:

@@ -8,6 +8,9 @@ from dataclasses import dataclass, fields
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.given import check_whole, is_number, shown
 
+SHORTEST_MEMORY = 0.1
+"""Least `memory` [frames]: evidence fades by exp(-1 / memory), which must not become 0."""
+
 
 @dataclass(frozen=True)
 class Standing:
@@ -101,6 +104,8 @@ class TrackConfig:
             raise SonarjaxError(f"TrackConfig: expected misses, tail and alias between 0 and 1, got {shares}")
         if not all(v > 0 for v in (*lengths, self.yaw_scale, self.tail_scale, self.merge)):
             raise SonarjaxError(f"TrackConfig: expected positive numbers, got {self}")
+        if self.memory < SHORTEST_MEMORY:
+            raise SonarjaxError(f"memory: expected {SHORTEST_MEMORY} frames or more, got {shown(self.memory)}")
         check_whole(self.components, 2, "components")
         check_whole(self.hypotheses, 1, "hypotheses")
 

@@ -98,9 +98,11 @@ class Tracker:
                 even if matching misses it.
 
         Raises:
-            SonarjaxError: There is no recognizer, it has several targets, or `motion` is not a motion.
+            SonarjaxError: There is no recognizer, it has several targets, `motion` is not a motion, or `config` no
+                `TrackConfig`.
         """
         check_kind(recognizer, Recognizer, "recognizer")
+        check_kind(config, TrackConfig, "config")
         if len(recognizer.targets) != 1:
             raise SonarjaxError(f"recognizer: expected one with a single target, got {len(recognizer.targets)} targets")
         if not isinstance(motion, Standing | Turning):

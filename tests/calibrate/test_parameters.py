@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import sonarjax as sj
+from sonarjax.calibrate.inputs import starts_of
 from sonarjax.calibrate.parameters import PARAMETERS, changed_sonar, check_free, prior_std
 from sonarjax.sonar import GeometryStd
 
@@ -20,6 +21,19 @@ def test_no_change_is_the_nominal_sonar() -> None:
     same = changed_sonar(SONAR, tuple(PARAMETERS), jnp.zeros(len(PARAMETERS)))
     for a, b in zip(jax.tree.leaves(same), jax.tree.leaves(SONAR), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-6)
+
+
+def test_poses_within_the_outer_beams_are_in_view() -> None:
+    """A single beam has all of its width, and an outer one its outer half."""
+    level = SONAR.replace(tilt=0.0)
+    single = level.replace(azimuth=jnp.zeros(1), beam_width=math.radians(5.0))
+    for sonar, azimuth, seen in ((single, 2.0, True), (single, 3.0, False), (level, 14.4, True), (level, 15.0, False)):
+        pose = sj.Pose([2.3 * math.cos(math.radians(azimuth))], [2.3 * math.sin(math.radians(azimuth))], [0.0])
+        if seen:
+            assert len(starts_of(pose, 1, sonar)) == 1
+        else:
+            with pytest.raises(sj.SonarjaxError, match="expected the object in view"):
+                starts_of(pose, 1, sonar)
 
 
 def test_each_number_changes_what_it_says() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from types import SimpleNamespace
 
 import jax
@@ -139,6 +140,13 @@ def test_kept_spectra_change_nothing() -> None:
     np.testing.assert_array_equal(match_bank(image, bank), match_bank(image, templates))
     np.testing.assert_allclose(match_bank(image[:80], bank), match_bank(image[:80], templates), atol=1e-6)
     assert template_spectra(jnp.asarray(templates), (96, 64)).map_shape == (67, 45)
+
+
+def test_spectra_of_other_templates_are_refused() -> None:
+    templates = np.random.default_rng(0).random((5, 8, 6))
+    bank = replace(prepare_bank(templates, (20, 20)), templates=jnp.asarray(templates[:4]))
+    with pytest.raises(SonarjaxError, match="its spectra are of other templates"):
+        match_bank(np.ones((20, 20)), bank)
 
 
 def test_many_chunks_equal_one_template_at_a_time() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable
 from types import ModuleType
@@ -50,6 +51,18 @@ def test_only_a_target_that_is_out_of_view_is_passed_over(
     monkeypatch.setattr(module, "template_bank", failing(sj.SonarjaxError("no room")))
     with pytest.raises(sj.SonarjaxError, match="no room"):
         look()
+
+
+def test_a_copy_finds_the_same() -> None:
+    """With the banks that were rendered so far; a search holds a lock, which cannot be copied."""
+    azimuth = np.radians(np.linspace(-6, 6, 24)).astype(np.float32)
+    sonar = sj.Sonar.preset("didson-hf", tilt=0.35, n_ranges=64, range_min=2.0, range_max=3.0, azimuth=azimuth)
+    made = sj.Recognizer(sj.objects.brick(), sonar, search=SearchConfig(yaw_bins=8), segmenter="none", refine=None)
+    image = np.asarray(sj.render(sj.objects.brick(), sj.Pose(x=2.3), sonar).semantic())
+    found = made(image)
+    again = copy.deepcopy(made)(image)
+    assert (again.score, again.yaw, again.x) == (found.score, found.yaw, found.x)
+    assert again in [found, again] and again != found
 
 
 def test_a_fan_to_one_side_is_searched_in_its_middle() -> None:

@@ -128,6 +128,12 @@ def test_bounds_hold_and_are_reported(scene):
     assert not bool(found.converged) and not bool(found.determined)
 
 
+def test_nothing_converges_on_a_constant_frame(scene):
+    mesh, _, poses = scene
+    found = refine(np.full(SONAR.shape, 0.5, np.float32), mesh, pick(near(poses, 0), 0))
+    assert not found.converged and found.score == 0
+
+
 def test_the_start_is_judged_too(scene):
     mesh, images, poses = scene
     found = refine(images[0], mesh, pick(near(poses, 0), 0))

@@ -6,6 +6,7 @@ import math
 from types import SimpleNamespace
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -13,6 +14,8 @@ import sonarjax as sj
 from sonarjax.engine import Engine
 from sonarjax.refine import MAP_REFINEMENT, RefinedStart, Start, refine_starts
 from sonarjax.refine.pose import _refine
+from sonarjax.refine.starts import kept_pose
+from sonarjax.refine.yaw import YawEstimate
 from sonarjax.scene.objects import box
 
 SONAR = sj.Sonar.preset("didson-hf", tilt=math.radians(20.0), height=0.9)
@@ -51,6 +54,16 @@ def refined(
 
 def off_deg(one: RefinedStart) -> float:
     return math.degrees(math.remainder(float(one.pose.yaw) - float(TRUTH.yaw), 2 * math.pi))
+
+
+def test_a_refined_start_keeps_its_lift_and_lean() -> None:
+    numbers = {"yaw": 0.4, "x": 2.1, "y": 0.1, "yaw_std": 0.01, "score": 0.9, "start_score": 0.5}
+    true = jnp.array(True)
+    estimate = YawEstimate(**{k: jnp.float32(v) for k, v in numbers.items()}, converged=true, determined=true)
+    pose = kept_pose(estimate, sj.Pose(2.0, 0.0, 0.3, z=0.2, roll=0.1, pitch=-0.1))
+    assert [float(v) for v in (pose.x, pose.yaw, pose.z, pose.roll, pose.pitch)] == pytest.approx(
+        [2.1, 0.4, 0.2, 0.1, -0.1]
+    )
 
 
 def test_starts_that_meet_count_once_and_only_the_best_is_refined_to_the_end(frame: np.ndarray) -> None:

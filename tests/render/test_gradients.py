@@ -38,6 +38,19 @@ SONAR = Sonar.preset("didson-hf", tilt=0.0, height=0.9)
 SMALL = SONAR.replace(azimuth=jnp.asarray(np.radians((np.arange(24) - 11.5) * 29 / 24), jnp.float32), n_ranges=96)
 
 
+def test_an_object_behind_the_sonar_spoils_no_gradient():
+    """Nothing of it is seen, and its facets have negative ranges, of which spreading and absorption have none."""
+    brick, sonar = objects.brick(), SMALL.replace(tilt=0.35, n_ranges=32)
+
+    def energy(x, exponent, absorption, behind):
+        changed = sonar.replace(spreading_exponent=exponent, absorption=absorption)
+        return render([brick, brick], [Pose(x=behind), Pose(x=x)], changed).intensity.sum()
+
+    slopes = {x: jax.grad(energy, (0, 1, 2))(2.3, 2.0, 0.1, x) for x in (-2.0, -3.0)}
+    assert np.isfinite(slopes[-2.0]).all() and np.all(np.asarray(slopes[-2.0]) != 0)
+    np.testing.assert_allclose(slopes[-2.0], slopes[-3.0], rtol=1e-5)
+
+
 def image(mesh, p, row, column, sub_beams):
     """Semantic window at p = (yaw, x, y, tilt, height, shape); `shape` stretches the mesh upwards."""
     mesh = mesh.with_vertices(mesh.vertices * jnp.stack([jnp.ones(()), jnp.ones(()), 1 + p[5]]))

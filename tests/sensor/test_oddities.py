@@ -30,6 +30,18 @@ def test_late_echoes_decay_exponentially_and_hold_their_share() -> None:
     assert tail[41, 0] / tail[21, 0] == pytest.approx(math.exp(-20 * 0.005 / 0.1), rel=1e-4)
 
 
+def test_late_echoes_much_shorter_than_a_bin_arrive_in_the_next_one() -> None:
+    tail = np.asarray(late_reverberation(jnp.eye(4, 1), 0.3, 0.002, 0.2))
+    assert tail[:, 0] == pytest.approx([0, 0.3, 0, 0], abs=1e-6)
+
+
+def test_ripples_have_a_derivative_nearer_than_the_sonar_is_high() -> None:
+    """No floor is seen there, and the root of its distance would have none."""
+    ranges = jnp.linspace(0.5, 2.0, 20)
+    slope = jax.grad(lambda height: ripple_brightness(SONAR.replace(height=height), ranges, 0.5, 0.1, 0.0).sum())(0.9)
+    assert np.isfinite(slope) and slope != 0
+
+
 def test_ripples_have_their_wavelength_on_the_floor() -> None:
     ranges = range_middles(SONAR)
     bright = np.asarray(ripple_brightness(SONAR, ranges, 0.5, 0.1, 0.0))

@@ -46,6 +46,15 @@ def test_round_trip_of_every_preset(name, tmp_path):
     np.testing.assert_array_equal(sonar.azimuth, back.azimuth)
 
 
+def test_angles_read_back_as_the_same_numbers(tmp_path):
+    """0.35 rad has more digits in degrees than 20° has."""
+    for tilt in (0.35, math.radians(20.0)):
+        sonar = Sonar.preset("didson-hf", tilt=tilt)
+        sonar.to_toml(tmp_path / "sonar.toml")
+        assert Sonar.from_toml(tmp_path / "sonar.toml") == sonar
+    assert "tilt_deg = 20.0\n" in (tmp_path / "sonar.toml").read_text(encoding="utf-8")
+
+
 def test_round_trip_of_every_field(tmp_path):
     values = {f.name: 0.123456789 + 0.01 * i for i, f in enumerate(fields(Sonar))}
     values |= {
