@@ -28,9 +28,9 @@ def each_frame(specs: Sequence[str]) -> Iterator[tuple[str, Lazy]]:
         for spec in specs:
             first = True
             try:
-                for frame in iter_records(spec):
+                for number, frame in enumerate(iter_records(spec)):
                     if isinstance(frame, SonarjaxError):
-                        yield spec, frame  # the error of a damaged frame; the recording's other frames follow
+                        yield _damaged(spec, number, frame), frame  # the recording's other frames follow
                         continue
                     if first and split_spec(spec).number is None:
                         bar.total += frame.meta["n_frames"] - 1  # not known before the first frame is read
@@ -42,6 +42,15 @@ def each_frame(specs: Sequence[str]) -> Iterator[tuple[str, Lazy]]:
             except Exception as error:
                 yield spec, error
                 bar.update()
+
+
+def _damaged(spec: str, number: int, error: SonarjaxError) -> str:
+    """The name of a damaged frame, record `number` of those that `spec` names: with its own number, as others have."""
+    begins = str(error).partition(": ")[0]  # for a bag also with the topic: a bag's error begins with the frame's name
+    asked = split_spec(spec).number
+    if begins.endswith(f":{number if asked is None else asked}"):
+        return begins
+    return f"{spec}:{number}" if asked is None else spec
 
 
 def frames_for(sonar: Lazy, specs: Sequence[str], toml: str) -> Iterator[tuple[str, Lazy]]:

@@ -46,7 +46,9 @@ def describe(spec: str | os.PathLike[str]) -> str:
 
 
 def _first(spec: str | os.PathLike[str], path: str, index: int | None) -> dict[str, Any]:
-    frame = next(iter_frames(spec))
+    frame = next(iter_frames(spec), None)
+    if frame is None:
+        raise SonarjaxError(f"{os.fspath(spec)}: expected a frame, the file gives none")
     inside = [entry.path for entry in os.scandir(path)] if os.path.isdir(path) else [path]  # the folder of a bag
     size = sum(os.path.getsize(file) for file in inside)
     return {"file": path, "size": f"{size} bytes", "frame": index or 0, **_frame(frame)}

@@ -2,7 +2,8 @@
 
 **Not checked on a real file.** Everything comes from published readers. Doubtful numbers are fields of `DidsonTables`,
 an argument of the reader:
-- the file header of version 4 (1024 bytes; one source says 512): found by the frame's own signature if it has one;
+- the file header of version 4 (1024 bytes; one source says 512): found by the frame's own signature if it has one.
+  Then every frame must have one, because without it nothing tells that bytes are missing before a frame;
 - the window starts and lengths, above all the shortest extended window (1.25 m; one source says 0.83 m), and the tables
   and frequencies of the long-range model;
 - the lens polynomial and its direction: it is read as beam number over azimuth growing to port.
@@ -33,6 +34,8 @@ from sonarjax.io.recording import Record, each_record, frames_of
 
 Lengths = tuple[float, ...]
 
+SIGNATURE = b"DDF"
+"""With it a file begins; the version follows. Frame headers may hold it too."""
 FILE_FIELDS: Fields = {
     "resolution": (12, "i"),
     "numbeams": (16, "i"),
@@ -100,6 +103,8 @@ class DidsonFile:
     """Size of the file header [bytes]."""
     frame_header_bytes: int
     """Size of a frame header [bytes]."""
+    signed: bool
+    """True if frame 0 has a signature of its own, so that every frame must have one."""
 
     @property
     def frame_bytes(self) -> int:
@@ -142,8 +147,8 @@ def parse_didson(
         Frames (range, beam), in the order of the file.
 
     Raises:
-        SonarjaxError: The signature, sizes or window codes are wrong, no frame is complete, or the index is out of
-            range.
+        SonarjaxError: The signature, sizes or window codes are wrong, a frame is not where it should be, no frame is
+            complete, or the index is out of range.
     """
     return frames_of(didson_records(data, name, index, tables))
 
@@ -169,7 +174,7 @@ def didson_file(data: Content, name: str, tables: DidsonTables = DIDSON_TABLES) 
     """Read the file header. Raises a SonarjaxError that names the wrong field."""
     header = Header(data, name)
     signature = header.unpack("3sB", 0, "signature")
-    if signature[0] != b"DDF" or signature[1] not in (3, 4):
+    if signature[0] != SIGNATURE or signature[1] not in (3, 4):
         raise header.error("signature", f"expected DDF_03 or DDF_04, got {bytes(data[:4])!r}")
     fields = header.fields(FILE_FIELDS, 48)
     version, n_beams = int(signature[1]), fields["numbeams"]
@@ -177,6 +182,8 @@ def didson_file(data: Content, name: str, tables: DidsonTables = DIDSON_TABLES) 
         raise header.error("numbeams", f"expected 48 or 96, got {n_beams}")
     n_ranges = header.count(fields["samples"] or 512, "samples", 65536)
     frame_header = tables.frame_header_bytes[version]
+    candidates = tables.file_header_bytes[version]
+    header_bytes = _file_header_bytes(data, candidates, frame_header + n_ranges * n_beams)
     return DidsonFile(
         version=version,
         high_frequency=fields["resolution"] != 0,
@@ -184,19 +191,28 @@ def didson_file(data: Content, name: str, tables: DidsonTables = DIDSON_TABLES) 
         n_ranges=n_ranges,
         reverse=fields["reverse"] != 0,
         serial=fields["serial"],
-        header_bytes=_file_header_bytes(data, tables.file_header_bytes[version], frame_header + n_ranges * n_beams),
+        header_bytes=header_bytes,
         frame_header_bytes=frame_header,
+        signed=_signature(data, header_bytes) == SIGNATURE,
     )
 
 
 def _file_header_bytes(data: Content, candidates: tuple[int, ...], frame_bytes: int) -> int:
-    signed = [size for size in candidates if data[size + 12 : size + 15] == b"DDF"]
+    signed = [size for size in candidates if _signature(data, size) == SIGNATURE]
     whole = [size for size in candidates if len(data) > size and (len(data) - size) % frame_bytes == 0]
     return (signed + whole + list(candidates))[0]
 
 
+def _signature(data: Content, base: int) -> bytes:
+    """What stands in place of the signature in the frame header at byte `base`."""
+    return data[base + 12 : base + 12 + len(SIGNATURE)]
+
+
 def _read(data: Content, name: str, file: DidsonFile, n_frames: int, number: int, tables: DidsonTables) -> Frame:
     header = Header(data, name, file.header_bytes + number * file.frame_bytes, f"frame {number}")
+    found = _signature(data, header.base)
+    if file.signed and found != SIGNATURE:
+        raise header.error("signature", f"expected {SIGNATURE!r} as in frame 0, got {found!r}")
     image = header.pixels(file.frame_header_bytes, file.n_ranges, file.n_beams)
     if file.reverse:
         image = np.ascontiguousarray(image[:, ::-1])
@@ -211,8 +227,9 @@ def _window(header: Header, fields: dict[str, Any], file: DidsonFile, tables: Di
     if not 0 <= start_code <= 1000:
         raise header.error("window start", f"expected a code of 0 to 1000, got {start_code}")
     lengths, code = tables.lengths_m[flags & 3], fields["window length"]
-    if not 0 <= code + 2 * low < len(lengths):
-        raise header.error("window length", f"expected a code of 0 to {len(lengths) - 1 - 2 * low}, got {code}")
+    largest = len(lengths) - 1 - 2 * low
+    if not 0 <= code <= largest:
+        raise header.error("window length", f"expected a code of 0 to {largest}, got {code}")
     return start_code * tables.start_step_m[flags & 1] * (1 + low), lengths[code + 2 * low]
 
 

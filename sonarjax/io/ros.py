@@ -57,7 +57,8 @@ def bag_records(path: str, topic: str | None = None, index: int | None = None) -
     """Yield the sonar images of a bag in order of time, or only image `index`; an unreadable image as its error.
 
     Without `topic`, the bag must have exactly one topic of sonar images. If the bag is damaged inside, an error is
-    yielded for each image that is lost, or one for all after the damage (see `bag_messages`).
+    yielded for each image that is lost, or one for all after the damage (see `bag_messages`). An image is missing only
+    if the bag ends before it, because the number that the bag states may be wrong.
 
     Raises:
         SonarjaxError: The file is missing or not a bag, `rosbags` is not installed, or the topic or image does not
@@ -66,12 +67,10 @@ def bag_records(path: str, topic: str | None = None, index: int | None = None) -
     with _opened(path) as reader:
         counts = _counts(reader)
         chosen = _chosen(path, counts, topic)
-        if index is not None and not 0 <= index < counts[chosen]:
-            raise SonarjaxError(f"{path}:{chosen}: frame {index}: expected 0 to {counts[chosen] - 1}")
-        if counts[chosen] == 0:
-            raise SonarjaxError(f"{path}:{chosen}: expected sonar images, the topic has none")
+        held = 0
         wanted = [c for c in reader.connections if c.topic == chosen and is_sonar_image(c.msgtype)]
         for found in bag_messages(reader, wanted):
+            held = found.number + 1
             gone = isinstance(found, Lost) and found.last
             if index is not None and found.number != index and not gone:
                 continue
@@ -82,6 +81,10 @@ def bag_records(path: str, topic: str | None = None, index: int | None = None) -
                 yield _record(reader, path, found.connection, found.raw, found.number, counts[chosen])
             if index is not None:
                 return
+        if held == 0:
+            raise SonarjaxError(f"{path}:{chosen}: expected sonar images, the topic has none")
+        if index is not None:
+            raise SonarjaxError(f"{path}:{chosen}: frame {index}: expected 0 to {held - 1}, the bag holds only {held}")
 
 
 def write_bag(path: str | os.PathLike[str], frames: Iterable[Frame], topic: str = TOPIC) -> int:

@@ -2,14 +2,18 @@
 
 import json
 import os
+import struct
+import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from sonarjax.io import write_png
+from sonarjax.cli.frames import each_frame
+from sonarjax.io import Frame, write_bag, write_png
 from sonarjax.io.safetensors import write_safetensors
-from tests.cli.files import recording
+from tests.cli.files import content, recording
 
 SHAPE = (64, 24)
 AZIMUTH, EDGES = (np.arange(24) - 11.5) * 29 / 24, np.linspace(1.5, 4.0, 65)
@@ -135,6 +139,34 @@ def test_a_recording_gives_all_its_frames(recognize, stand_in, place, tmp_path):
     assert err.count("its header contradicts") == 1  # one note for the file, not for each of its frames
 
 
+def test_a_damaged_frame_of_a_recording_has_its_own_name(recognize, stand_in, place, tmp_path):
+    pytest.importorskip("rosbags")
+    content = bytearray(recording(4))
+    for number in (1, 2):
+        content[1024 + number * (1024 + 64 * 48) + 436] = 77  # PingMode
+    path, sonar = tmp_path / "four.aris", tmp_path / "sonar.toml"
+    path.write_bytes(content)
+    sonar.write_text((place / "sonar.toml").read_text().replace("n_beams = 24", "n_beams = 48"))
+    code, _, records = recognize([path, f"{path}:2"], tmp_path / "r.jsonl", "--sonar", sonar)
+    assert code == 1
+    assert [record["frame"] for record in records] == [f"{path}:{n}" for n in (0, 1, 2, 3, 2)]
+    assert ["error" in record for record in records] == [False, True, True, False, True]
+
+
+def test_a_damaged_frame_of_a_bag_has_its_own_name(tmp_path):
+    pytest.importorskip("rosbags")
+    geometry = {"azimuth_deg": [0.0, 1.0], "range_min_m": 0.0, "range_max_m": 1.0}
+    path = str(tmp_path / "log.mcap")
+    write_bag(path, [Frame(np.zeros((3, 2), np.float32), None, "f", "f", geometry)] * 2)
+    content = Path(path).read_bytes()
+    stated = struct.pack("<I", 3) + struct.pack("<3f", *(np.arange(3) + 0.5) / 3)  # `ranges`
+    at = content.index(stated)
+    Path(path).write_bytes(content[: at + 4] + bytes(4) + content[at + 8 :])  # of the first message
+    named = [(name, isinstance(frame, Exception)) for spec in (path, f"{path}:0") for name, frame in each_frame([spec])]
+    first, second = (f"{path}:/sonar_image:{number}" for number in range(2))
+    assert named == [(first, True), (second, False), (first, True)]
+
+
 def test_an_interrupt_keeps_what_is_written(recognize, stand_in, place, tmp_path):
     stand_in.interrupt = 2
     code, err, records = recognize([place / "a.npz", place / "b.npy", place / "a.npz"], tmp_path / "r.jsonl")
@@ -203,7 +235,8 @@ def test_a_file_larger_than_memory_is_an_error_line(recognize, stand_in, place, 
         ("--sonar", "absent.toml", "no such file"),
         ("--sonar", "brick.stl", "TOML"),
         ("--out", ".", "folder|directory"),
-        ("--out", "absent/r.jsonl", "cannot be opened"),
+        ("--out", "absent/r.jsonl", "cannot be written: expected a folder that exists"),
+        ("--out", "brick_mm.stl", "expected JSON lines"),
         ("--out", "/proc/r.jsonl", "cannot be opened"),
         ("--out", "/dev/full", "cannot be written"),
         ("--segmenter", "unet", "expected one of pix2pix"),
@@ -216,9 +249,21 @@ def test_what_stops_a_batch(complaint, stand_in, place, tmp_path, option, value,
     out = tmp_path / "r.jsonl"
     options = {"--target": place / "brick.stl", "--sonar": place / "sonar.toml", "--out": out}
     options[option] = value if option == "--segmenter" else place / value
+    before = content(place)
     message = complaint(2, "recognize", place / "a.npz", *[part for pair in options.items() for part in pair])
     assert any(words in message.lower() for words in said.lower().split("|"))
-    assert not out.exists()
+    assert not out.exists() and content(place) == before
+
+
+def test_results_that_cannot_be_kept_stop_a_batch_before_targets_are_prepared(complaint, place, tmp_path, monkeypatch):
+    recognizer = sys.modules["sonarjax.recognize"].Recognizer
+    monkeypatch.setattr(recognizer, "prepare", lambda *_: pytest.fail("prepared"))
+    targets = ["--target", place / "brick.stl", "--target", place / "brick_mm.stl", "--unit-m", "0.001"]
+    (tmp_path / "notes.txt").write_text("words")
+    files = ["--sonar", place / "sonar.toml", "--segmenter", "none", "--out", tmp_path / "notes.txt"]
+    said = complaint(2, "recognize", place / "a.npz", *targets, *files)
+    assert "notes.txt: expected JSON lines to append to, got a file that begins with b'words'" in said
+    assert (tmp_path / "notes.txt").read_text() == "words"
 
 
 def test_a_missing_threshold_stops_a_batch_before_any_frame(complaint, recognize, stand_in, place, tmp_path):

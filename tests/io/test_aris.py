@@ -83,12 +83,14 @@ BAD = [
     (1024 + 436, "I", 13, "PingMode: expected 1 to 12, got 13"),
     (1024 + 468, "I", 0, "SamplesPerBeam: expected 1 to"),
     (1024 + 468, "I", 2**32 - 1, "SamplesPerBeam: expected 1 to"),
-    (1024 + 468, "I", 60000, "truncated"),
+    (1024 + 468, "I", 60000, "frame 0: SamplesPerBeam, PingMode: expected 10 x 96 as in other frames, got 60000 x 96"),
+    (1024 + 436, "I", 6, "frame 0: SamplesPerBeam, PingMode: expected 10 x 96 as in other frames, got 10 x 64"),
     (1024 + 464, "f", math.nan, "SoundSpeed: expected 1000 to 2000 m/s, got nan"),
     (1024 + 452, "I", 0, "SamplePeriod: expected 1 to"),
     (1024 + 476, "I", 2**32 - 1, "range window: expected 0 to 1000 m"),
     (1024 + 516, "I", 0, "frame 0: ReorderedSamples: expected 1, got 0"),
     (2 * 1024 + 960 + 468, "I", 9, "frame 1: SamplesPerBeam, PingMode: expected 10 x 96"),
+    (2 * 1024 + 960 + 468, "I", 60000, "frame 1: SamplesPerBeam, PingMode: expected 10 x 96"),
 ]
 
 

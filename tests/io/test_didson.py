@@ -50,6 +50,16 @@ def test_windows(make, flags, high, start, length):
     assert frame.geometry["frequency_hz"] == (1.8e6 if high else 1.1e6)
 
 
+@pytest.mark.parametrize(("high", "largest"), [(1, 5), (0, 3)])
+def test_window_codes(make, high, largest):
+    for code in (0, largest):
+        assert len(list(parse_didson(make.didson(high=high, length=code), "d.ddf"))) == 2
+    for code in (-3, -2, -1, largest + 1):
+        said = f"d.ddf: frame 0: window length: expected a code of 0 to {largest}, got {code}"
+        with pytest.raises(SonarjaxError, match=said):
+            list(parse_didson(make.didson(high=high, length=code), "d.ddf"))
+
+
 def test_lens():
     azimuth = didson_azimuth_deg(96)
     beam = 1.012 * (0.0030 * azimuth**3 - 0.0055 * azimuth**2 + 2.6829 * azimuth + 48.04) + 1

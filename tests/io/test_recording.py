@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sonarjax.io import Frame, SonarjaxError, iter_records, read_frames
-from sonarjax.io.files import open_content
+from sonarjax.io.files import FileContent, open_content
 
 
 def kinds(path: str) -> list[bool]:
@@ -35,6 +35,80 @@ def test_an_aris_frame(make, saved, broken):
         read_frames(path)
 
 
+def whole(path: str) -> list[tuple[int, int] | str]:
+    """Range bins and number in the header of each frame, or its error; a frame asked for by its number is the same."""
+    found = []
+    for number, record in enumerate(iter_records(path)):
+        (alone,) = iter_records(f"{path}:{number}")
+        assert str(alone) == str(record) if isinstance(record, SonarjaxError) else alone.source == record.source
+        if isinstance(record, Frame):
+            assert np.array_equal(alone.image, record.image) and record.source == f"{path}:{number}"
+            found.append((record.shape[0], record.meta["recorded_index"]))
+        else:
+            found.append(str(record).removeprefix(f"{path}: "))
+    return found
+
+
+def test_aris_frames_of_another_size_cost_no_others(make, saved):
+    long, short = make.aris(n_frames=2), make.aris(n_frames=3, n_ranges=5)[1024:]
+    path = saved("a.aris", long + short + long[1024:])
+    sizes = [(10, 0), (10, 1), (5, 0), (5, 1), (5, 2), (10, 0), (10, 1)]
+    assert whole(path) == sizes
+    assert whole(saved("b.aris", long + short)) == sizes[:5]
+    assert whole(saved("c.aris", long + short[:1600])) == sizes[:3]  # the last is unfinished
+    unsigned = damaged(long + short + long[1024:], 1024 + 2 * 1984 + 12, b"xxxx")
+    error = "frame 2: signature: expected 0x05464444 (ARIS, DDF_05), got 0x78787878"
+    assert whole(saved("d.aris", unsigned)) == [*sizes[:2], error, *sizes[3:]]
+    unsigned = damaged(long + short + long[1024:], 1024 + 2 * 1984 + 1504 + 12, b"xxxx")
+    assert whole(saved("e.aris", unsigned)) == [*sizes[:3], error.replace("frame 2", "frame 3"), *sizes[4:]]
+
+
+def test_aris_recordings_that_were_joined(make, saved):
+    one, other = make.aris(n_frames=2), make.aris(n_frames=3, n_ranges=5)
+    assert whole(saved("a.aris", one + one + other)) == [(10, 0), (10, 1)] * 2 + [(5, 0), (5, 1), (5, 2)]
+    for cut in (100, 1500):  # the first was not finished
+        error = f"frame 1: samples: expected 1984 bytes to the next frame, got {1984 - cut}"
+        assert whole(saved("b.aris", one[:-cut] + other)) == [(10, 0), error, (5, 0), (5, 1), (5, 2)]
+
+
+@pytest.mark.parametrize("broken", [0, 1, 2])
+def test_bytes_that_are_missing_from_an_aris_frame_cost_that_frame(make, saved, broken):
+    content, at = make.aris(n_frames=4), 1024 + broken * 1984 + 1100
+    error = f"frame {broken}: samples: expected 1984 bytes to the next frame, got 1884"
+    wanted = [(10, number) if number != broken else error for number in range(4)]
+    assert whole(saved("a.aris", content[:at] + content[at + 100 :])) == wanted
+
+
+def test_bytes_that_are_missing_from_the_first_header_of_an_aris_file_cost_its_frame(make, saved):
+    content = make.aris(n_frames=3)
+    first, *others = whole(saved("a.aris", content[:1400] + content[1500:]))
+    assert first.startswith("frame 0: ") and others == [(10, 1), (10, 2)]
+
+
+def test_a_stretch_of_an_aris_file_that_is_none(make, saved):
+    """It counts as the frames that fit into it, and those before and after it are read."""
+    content, error = make.aris(n_frames=4), "signature: expected 0x05464444 (ARIS, DDF_05), got 0x61616161"
+    filled = damaged(content, 1024 + 1984, b"a" * (2 * 1984))
+    wanted = [(10, 0), f"frame 1: {error}", f"frame 2: {error}", (10, 3)]
+    assert whole(saved("a.aris", filled)) == wanted
+    assert whole(saved("b.aris", filled[: 1024 + 1984] + filled[1024 + 1984 + 700 :])) == wanted
+    assert whole(saved("c.aris", filled[: 1024 + 3 * 1984])) == wanted[:3]
+
+
+def test_a_frame_of_a_long_aris_file_is_found_without_reading_it_all(make, saved, monkeypatch):
+    path = saved("a.aris", make.aris(n_frames=2000))
+    sizes, plain = [], FileContent.__getitem__
+
+    def noted(content: FileContent, part: slice) -> bytes:
+        sizes.append(len(found := plain(content, part)))
+        return found
+
+    monkeypatch.setattr(FileContent, "__getitem__", noted)
+    (frame,) = iter_records(f"{path}:1998")
+    assert frame.meta["recorded_index"] == 1998 and frame.meta["n_frames"] == 2000
+    assert sum(sizes) < 80_000 and len(sizes) < 100
+
+
 def test_an_aris_file_of_broken_frames_says_what_is_wrong_with_the_first(make, saved):
     content = make.aris(n_frames=2)
     for number in range(2):
@@ -47,6 +121,16 @@ def test_a_didson_frame(make, saved):
     content = make.didson(n_frames=3)
     path = saved("d.ddf", damaged(content, 512 + 256 + 512 * 96 + 52, struct.pack("<i", -5)))  # window start of frame 1
     assert kinds(path) == [True, False, True]
+
+
+def test_bytes_that_are_missing_from_a_didson_file(make, saved):
+    """Frames after them lie elsewhere: no error in their place would be a frame of shifted pixels."""
+    content = make.didson(n_frames=4)
+    path = saved("d.ddf", content[:40_000] + content[41_000:])
+    assert kinds(path) == [True, False, False]
+    said = [str(record) for record in iter_records(path)][1:]
+    for number, error in enumerate(said, start=1):
+        assert error.startswith(f"{path}: frame {number}: signature: expected b'DDF' as in frame 0, got b'")
 
 
 def test_an_oculus_ping_and_a_stretch_that_is_none(make, saved):

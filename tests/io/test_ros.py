@@ -150,7 +150,8 @@ def test_what_cannot_be_found(tmp_path):
         (path, f"{path}: topic: expected one topic of sonar images; the bag has /port, /starboard"),
         (f"{path}:/other", f"{path}: topic: expected a topic of sonar images, not '/other'; the bag has /port"),
         (f"{path}:other:0", f"{path}: topic: expected a topic of sonar images, not 'other'; the bag has /port"),
-        (f"{path}:/port:1", f"{path}:/port: frame 1: expected 0 to 0"),
+        (f"{path}:/port:1", f"{path}:/port: frame 1: expected 0 to 0, the bag holds only 1"),
+        (f"{path}:/port:-1", f"{path}:/port: frame -1: expected 0 to 0"),
         (str(tmp_path / "none.mcap"), f"{tmp_path / 'none.mcap'}: no such file"),
     ]:
         with pytest.raises(SonarjaxError) as caught:
@@ -180,6 +181,23 @@ def test_a_topic_without_images(tmp_path, name):
     assert write_bag(path, []) == 0
     with pytest.raises(SonarjaxError, match=f"{path}:/sonar_image: expected sonar images, the topic has none"):
         read_frames(path)
+
+
+@pytest.mark.parametrize("name", ["run", "a.mcap"])
+@pytest.mark.parametrize("stated", [0, 2, 8])
+def test_a_bag_that_states_a_wrong_number_of_images(tmp_path, name, stated):
+    path = tmp_path / name
+    write_bag(path, [flat()] * 5)
+    file, form = (path / "metadata.yaml", "message_count: %d") if path.is_dir() else (path, "\n\0\0\0\1\0%c" + "\0" * 7)
+    content = file.read_bytes()
+    file.write_bytes(content.replace((form % 5).encode(), (form % stated).encode()))
+    assert file.read_bytes() != content and bag_topics(str(path)) == {"/sonar_image": stated}
+    assert len(read_frames(path)) == 5 and read_frames(f"{path}:4")[0].source == f"{path}:/sonar_image:4"
+    for index in (5, 6):
+        said = f"{path}:/sonar_image: frame {index}: expected 0 to 4, the bag holds only 5"
+        for read in (read_frames, describe):
+            with pytest.raises(SonarjaxError, match=said):
+                read(f"{path}:{index}")
 
 
 @pytest.mark.parametrize("ending", [".bag", ".mcap", ".db3"])
