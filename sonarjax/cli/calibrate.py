@@ -64,10 +64,12 @@ def run(args: argparse.Namespace) -> int:
         images, mesh, sonar, free=args.free, masks=masks, present=args.present, engine=usual_engine(),
         progress=partial(complain, kind=""),
     )  # fmt: skip
-    say(describe_calibration(found, sonar, [frame.source for frame in frames]))  # first: it took minutes to find
-    found.sonar.to_toml(args.out)
-    if args.png is not None:
-        from sonarjax.plot import plot_calibration, save_figure
+    try:  # the fit took minutes: said before a file may fail, and written even if stdout fails
+        say(describe_calibration(found, sonar, [frame.source for frame in frames]))
+    finally:
+        found.sonar.to_toml(args.out)
+        if args.png is not None:
+            from sonarjax.plot import plot_calibration, save_figure
 
-        save_figure(plot_calibration(*compare_templates(found, images, mesh, sonar), sonar), args.png)
+            save_figure(plot_calibration(*compare_templates(found, images, mesh, sonar), sonar), args.png)
     return code

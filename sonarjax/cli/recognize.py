@@ -88,14 +88,15 @@ def run(args: argparse.Namespace) -> int:
     frames = frames_for(sonar, args.frames, args.sonar)
     if args.cluster is not None:
         work = Work(secrets.token_hex(8), meshes, sonar, segmenter, refine, args.threshold)
-        with engine_of(args.cluster) as workers:
-            return _write(args.out, workers.stream(recognize_on_worker, work, frames))
-    if len(meshes) > 1:
-        complain(f"preparing {len(meshes)} targets", kind="")
-        recognizer.prepare()
-    if tracker is not None:
-        return _write(args.out, _in_order(tracker, frames))
-    return _write(args.out, engine.stream(_recognize_alone, (recognizer, args.threshold), frames))
+        with engine_of(args.cluster) as workers, JsonLines(args.out) as lines:
+            return _write(lines, workers.stream(recognize_on_worker, work, frames))
+    with JsonLines(args.out) as lines:  # opened first, because to prepare targets takes minutes
+        if len(meshes) > 1:
+            complain(f"preparing {len(meshes)} targets", kind="")
+            recognizer.prepare()
+        if tracker is not None:
+            return _write(lines, _in_order(tracker, frames))
+        return _write(lines, engine.stream(_recognize_alone, (recognizer, args.threshold), frames))
 
 
 def _check_threshold(args: argparse.Namespace, segmenter: Lazy) -> None:
@@ -125,15 +126,14 @@ def _recognize_alone(shared: tuple[Lazy, float | None], named: tuple[str, Lazy],
     return _record(*named, lambda image, mask: (recognizer(image, mask, threshold=threshold), None))
 
 
-def _write(path: str, records: Iterator[dict[str, Any]]) -> int:
+def _write(lines: JsonLines, records: Iterator[dict[str, Any]]) -> int:
     """Append each record to the file at once, report errors, and return the exit code: 1 if any frame failed."""
     code = 0
-    with JsonLines(path) as lines:
-        for record in records:
-            if "error" in record:
-                complain(record["error"])
-                code = 1
-            lines.write(record)
+    for record in records:
+        if "error" in record:
+            complain(record["error"])
+            code = 1
+        lines.write(record)
     return code
 
 

@@ -54,7 +54,9 @@ class FanOptions:
     whole: bool = False
     """The picture reaches down to the sonar, which is at its lower edge, below the middle of the fan."""
     frame: bool = False
-    """The fan touches all four edges of the picture, rather than those of the box that `content_box` finds."""
+    """The fan touches all four edges of the picture, rather than those of the box that `content_box` finds. If its
+    beams reach farther to one side, the edges are those of the sector about the middle, as a fan picture of ours has.
+    """
     width: int | None = None
     """Columns of the fan picture to make; by default a pixel is half as long [m] as a bin, or half as long as a
     beam is wide at `nearest_range` if that is less. A picture that would have more than `LARGE` pixels has longer ones.
@@ -122,7 +124,9 @@ def one_frame(spec: str) -> Frame:
     Raises:
         SonarjaxError: As `read_frames`, or the file holds several frames and `spec` does not say which.
     """
-    frame = next(iter_frames(spec))
+    frame = next(iter_frames(spec), None)
+    if frame is None:
+        raise SonarjaxError(f"{spec}: expected a frame, the file gives none")
     if frame.meta["n_frames"] > 1 and split_spec(spec).number is None:
         raise SonarjaxError(f"{spec}: expected one frame, the file holds {frame.meta['n_frames']}: give {spec}:N")
     return frame
@@ -223,7 +227,7 @@ def _to_polar(picture: Frame, out: str, options: FanOptions, axes: PolarAxes | N
     box = PictureBox(0.0, float(rows), 0.0, float(columns)) if options.frame else content_box(picture.image)
     _check_size(box.bottom - box.top, box.right - box.left)
     apex = float(rows) if options.whole else options.apex
-    geometry = fit_fan(box, math.radians(opening_deg), near, far, apex)
+    geometry = fit_fan(box, math.radians(opening_deg), near, far, apex, _edges_in_box(options, axes))
     if axes is None:
         bins, beams = geometry.polar_shape()
         bins, beams = options.bins or bins, options.beams or beams
@@ -245,6 +249,13 @@ def _to_polar(picture: Frame, out: str, options: FanOptions, axes: PolarAxes | N
     measured = f"{mask.mean():.1%} of the pixels measured"
     told = _told(opening_deg, near, far)
     return f"{out}: {size}, {told}, {measured}; {place}, the sonar at row {geometry.apex_row:.1f}"
+
+
+def _edges_in_box(options: FanOptions, axes: PolarAxes | None) -> tuple[float, float] | None:
+    """Outer edges [rad] of the beams in the fan's box; None if the box is that of a sector about the middle."""
+    if axes is None or options.opening_deg is not None or options.frame:
+        return None
+    return _outer_edges(axes.azimuth)
 
 
 def _with_axes(options: FanOptions, axes: PolarAxes | None) -> FanOptions:
@@ -342,8 +353,13 @@ def _opening(azimuth: np.ndarray, options: FanOptions) -> float:
         return math.radians(options.opening_deg)
     if azimuth.size == 1:
         raise SonarjaxError("--opening-deg: required for a frame of one beam, which does not tell the opening")
-    outer = 1.5 * azimuth[[0, -1]] - 0.5 * azimuth[[1, -2]]
-    return float(2 * np.abs(outer).max())
+    return 2 * max(map(abs, _outer_edges(azimuth)))
+
+
+def _outer_edges(azimuth: np.ndarray) -> tuple[float, float]:
+    """Starboard and port edge [rad] of two or more beams, the outer ones as wide as their spacing."""
+    starboard, port = 1.5 * azimuth[[0, -1]] - 0.5 * azimuth[[1, -2]]
+    return float(starboard), float(port)
 
 
 def _sector(options: FanOptions, what: str) -> tuple[float, float, float]:

@@ -8,7 +8,7 @@ from 0 to 1, and its centre is at 0.5.
 The rule: the pixels above black are the sector (`content_box`), and their bounding box is that of the sector. It is
 2 · range_max · sin(opening / 2) wide (twice range_max from 180° on). Its upper edge is where the middle beam ends. Its
 lower edge is where the outer beams begin (range_min · cos(opening / 2) in front of the sonar) or, from 180° on, where
-they end.
+they end. If beams reach farther to one side than to the other, the box is that of the real beams: see `fit_fan`.
 """
 
 from __future__ import annotations
@@ -49,7 +49,8 @@ class PictureBox(NamedTuple):
 class FanGeometry:
     """A sector and its position in a picture.
 
-    Ranges are slant ranges. Azimuth grows to port and is 0 in the middle of the sector.
+    Ranges are slant ranges. Azimuth grows to port and is 0 in the middle of the sector. A sonar whose beams reach
+    farther to one side than to the other fills only a part of it.
     """
 
     opening: float
@@ -181,6 +182,7 @@ def fit_fan(
     range_min: float | int,
     range_max: float | int,
     apex_row: float | int | None = None,
+    edges: tuple[float, float] | None = None,
 ) -> FanGeometry:
     """Find the geometry of a picture from the bounding box of its sector.
 
@@ -192,6 +194,8 @@ def fit_fan(
         apex_row: Row of the sonar, from the picture's upper edge [pixels]. None means that it follows from the box's
             lower edge (see the module's rule). If it is given, that edge is not used: the picture may be cut off below,
             or show the sonar at its own lower edge.
+        edges: Azimuths [rad] of the starboard and the port edge of what the box holds, within the sector. None means
+            all of the sector.
 
     Returns:
         The sector and its position in the picture.
@@ -200,7 +204,8 @@ def fit_fan(
         SonarjaxError: No sonar has such an opening or range window, the box is empty, or the apex is not below the
             box's top.
     """
-    half, top, bottom = _extent(float(opening), float(range_min), float(range_max))
+    extent = _extent(float(opening), float(range_min), float(range_max), edges)
+    top, bottom = extent.top, extent.bottom
     if not (box.bottom > box.top and box.right > box.left):
         raise SonarjaxError(f"fan: expected a box of non-zero size, got {tuple(box)}")
     if apex_row is None:
@@ -209,14 +214,15 @@ def fit_fan(
         row_m = top / (apex_row - box.top)
     else:
         raise SonarjaxError(f"fan: apex: expected a row below the sector's top at {box.top:g}, got {apex_row:g}")
+    column_m = (extent.port - extent.starboard) / (box.right - box.left)
     return FanGeometry(
         opening=float(opening),
         range_min=float(range_min),
         range_max=float(range_max),
         apex_row=box.top + top / row_m,
-        apex_column=(box.left + box.right) / 2,
+        apex_column=(box.left + box.right) / 2 + (extent.port + extent.starboard) / 2 / column_m,
         row_m=row_m,
-        column_m=2 * half / (box.right - box.left),
+        column_m=column_m,
     )
 
 
@@ -240,22 +246,36 @@ def fan_around(
         SonarjaxError: As `fit_fan`, the pixel's size is not above 0, or the picture would have more than `PIXEL_LIMIT`
             pixels.
     """
-    half, top, bottom = _extent(float(opening), float(range_min), float(range_max))
+    extent = _extent(float(opening), float(range_min), float(range_max))
     if not pixel > 0:
         raise SonarjaxError(f"fan: pixel: expected a length above 0 m, got {pixel:g}")
-    rows, columns = (max(round(length / pixel), 1) for length in (top - bottom, 2 * half))
+    sides = extent.top - extent.bottom, extent.port - extent.starboard
+    rows, columns = (max(round(length / pixel), 1) for length in sides)
     if rows * columns > PIXEL_LIMIT:
         raise SonarjaxError(f"fan: expected at most {PIXEL_LIMIT} pixels, got {rows} x {columns}")
     box = PictureBox(0.0, float(rows), 0.0, float(columns))
     return fit_fan(box, opening, range_min, range_max), (rows, columns)
 
 
-def _extent(opening: float, range_min: float, range_max: float) -> tuple[float, float, float]:
-    """Half width of a sector's bounding box, and forward distance of its upper and lower edge [m]."""
+class _Extent(NamedTuple):
+    """A bounding box in the sonar's plane, which is at (0, 0): forward and to port [m]."""
+
+    top: float
+    bottom: float
+    port: float
+    starboard: float
+
+
+def _extent(opening: float, range_min: float, range_max: float, edges: tuple[float, float] | None = None) -> _Extent:
+    """Bounding box of a sector, or of its part between two azimuths [rad]."""
     if not 0 < opening <= 2 * math.pi:
         raise SonarjaxError(f"fan: opening: expected above 0 and up to 360 deg, got {math.degrees(opening):g}")
     if not 0 <= range_min < range_max < math.inf:
         raise SonarjaxError(f"fan: range: expected 0 <= minimum < maximum, got {range_min:g} to {range_max:g} m")
-    cosine = math.cos(opening / 2)
-    half = range_max * math.sin(min(opening, math.pi) / 2)
-    return half, range_max, cosine * (range_min if cosine > 0 else range_max)
+    low, high = (-opening / 2, opening / 2) if edges is None else edges
+    angles = (low, high, *(angle for angle in (-math.pi / 2, 0.0, math.pi / 2) if low < angle < high))
+    forward, lateral = (
+        [radius * turned(angle) for radius in (range_min, range_max) for angle in angles]
+        for turned in (math.cos, math.sin)
+    )
+    return _Extent(max(forward), min(forward), max(lateral), min(lateral))

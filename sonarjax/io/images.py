@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float32
 
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.frame import Frame, Geometry, evenly_spaced
+from sonarjax.io.header import RANGE_LIMIT_M
 from sonarjax.io.naming import frame_numbers, named
 from sonarjax.io.npy import NpzArchive, parse_npy
 from sonarjax.io.png import parse_png
@@ -90,8 +91,8 @@ def parse_png_frame(data: bytes, name: str, index: int | None = None) -> Iterato
         The only frame (range, beam).
 
     Raises:
-        SonarjaxError: The PNG cannot be decoded, is not grey and opaque, or has more than `PIXEL_LIMIT` pixels; or the
-            index is not 0.
+        SonarjaxError: The PNG cannot be decoded, is animated, is not grey and opaque, or has more than `PIXEL_LIMIT`
+            pixels; or the index is not 0.
     """
     yield _single(parse_png(data, name), name, index, "PNG")
 
@@ -156,8 +157,8 @@ def _geometry(archive: NpzArchive, shape: tuple[int, int]) -> Geometry | None:
     """Geometry [m, deg] of an NPZ that `sonarjax render` wrote; None if it has none."""
     if not {"azimuth_deg", "range_edges_m"} <= set(archive.keys):
         return None
-    azimuth = _ascending(archive, "azimuth_deg", shape[1])
-    edges = _ascending(archive, "range_edges_m", shape[0] + 1)
+    azimuth = _ascending(archive, "azimuth_deg", shape[1], -180.0, 180.0)
+    edges = _ascending(archive, "range_edges_m", shape[0] + 1, 0.0, RANGE_LIMIT_M)
     if not evenly_spaced(edges):
         raise SonarjaxError(f"{archive.name}: range_edges_m: expected range bins of equal length")
     return {
@@ -168,11 +169,14 @@ def _geometry(archive: NpzArchive, shape: tuple[int, int]) -> Geometry | None:
     }
 
 
-def _ascending(archive: NpzArchive, key: str, length: int) -> list[float]:
+def _ascending(archive: NpzArchive, key: str, length: int, least: float, most: float) -> list[float]:
     values = archive.array(key)
     if values.shape != (length,):
         raise SonarjaxError(f"{archive.name}: {key}: expected {length} numbers to fit the image, got {values.shape}")
     numbers = values.astype(np.float64)
     if not np.isfinite(numbers).all() or (np.diff(numbers) <= 0).any():
         raise SonarjaxError(f"{archive.name}: {key}: expected finite numbers in ascending order")
+    if numbers[0] < least or numbers[-1] > most:
+        got = f"{numbers[0]:g} to {numbers[-1]:g}"
+        raise SonarjaxError(f"{archive.name}: {key}: expected numbers from {least:g} to {most:g}, got {got}")
     return numbers.tolist()

@@ -6,6 +6,7 @@ import contextlib
 import json
 import math
 import os
+import stat
 from collections.abc import Mapping
 from types import TracebackType
 from typing import Any
@@ -14,12 +15,17 @@ import numpy as np
 
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.files import reason
+from sonarjax.io.given import shown
+
+START = 4096
+"""Bytes of a file that are searched for where its text begins."""
 
 
 class JsonLines:
     """A JSON Lines file open for appending; a context manager.
 
-    A line that a killed run left unfinished is ended first. A line that can be written only in part is removed again.
+    A line that a killed run left unfinished is ended with the first new one. A line that can be written only in part is
+    removed again.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -29,7 +35,7 @@ class JsonLines:
             path: The file.
 
         Raises:
-            SonarjaxError: It cannot be opened for writing.
+            SonarjaxError: It cannot be opened for writing, or is a regular file of something other than JSON lines.
         """
         self.name = os.fspath(path)
         try:
@@ -37,8 +43,12 @@ class JsonLines:
         except (OSError, ValueError) as error:
             raise SonarjaxError(f"{self.name!r}: cannot be opened for writing: {reason(error)}") from error
         self._open = True
-        if self._unfinished():
-            self._append(b"\n")
+        other = self._other_start()
+        if other:
+            self.close()
+            got = f"a file that begins with {shown(other[:12])}"
+            raise SonarjaxError(f"{self.name}: expected JSON lines to append to, got {got}")
+        self._before = b"\n" if self._unfinished() else b""
 
     def write(self, record: Mapping[str, Any]) -> None:
         """Append one object as a line.
@@ -52,7 +62,9 @@ class JsonLines:
             SonarjaxError: The line cannot be written.
             TypeError: JSON cannot hold a value of the object.
         """
-        self._append(json.dumps(plain(record), allow_nan=False, ensure_ascii=False).encode("utf-8", "replace") + b"\n")
+        line = json.dumps(plain(record), allow_nan=False, ensure_ascii=False).encode("utf-8", "replace")
+        self._append(self._before + line + b"\n")
+        self._before = b""
 
     def close(self) -> None:
         """Close the file; closing it again does nothing.
@@ -75,6 +87,13 @@ class JsonLines:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+    def _other_start(self) -> bytes:
+        """How a regular file begins that holds no JSON lines. Empty for others, and for what a shell has opened."""
+        if not stat.S_ISREG(os.fstat(self._descriptor).st_mode) or self.name.startswith("/dev/"):
+            return b""  # a log to which /dev/stdout leads may hold other text
+        start = os.read(self._descriptor, START).lstrip()
+        return b"" if start.startswith(b"{") else start
 
     def _unfinished(self) -> bool:
         with contextlib.suppress(OSError):  # a pipe cannot be searched for its end

@@ -83,7 +83,7 @@ def split_spec(spec: str | os.PathLike[str]) -> Spec:
     name = os.fspath(spec)
     if os.path.exists(name):
         return Spec(name, None)
-    numbered = re.fullmatch(r"(.+):([0-9]{1,18})", name, re.DOTALL)
+    numbered = re.fullmatch(r"(.+):(-?[0-9]{1,18})", name, re.DOTALL)  # below 0 the reader says which there are
     path, number = (name, None) if numbered is None else (numbered[1], int(numbered[2]))
     within = re.fullmatch(r"(.+):([^:]+)", path, re.DOTALL)
     if within is not None and is_bag(within[1]):

@@ -76,12 +76,14 @@ def parse_npy(data: bytes, name: str, field: str = "array") -> np.ndarray:
     """The array (any shape) in NPY bytes, read-only and without a copy.
 
     Raises:
-        SonarjaxError: As `npy_header`, or the file ends before the last number.
+        SonarjaxError: As `npy_header`, or the file ends before the last number, or goes on after it.
     """
     header = npy_header(data, name, field)
-    if header.offset + header.n_bytes > len(data):
-        there = len(data) - header.offset
+    there = len(data) - header.offset
+    if there < header.n_bytes:
         raise SonarjaxError(f"{name}: {field}: truncated: expected {header.n_bytes} bytes of numbers, got {there}")
+    if there > header.n_bytes:  # such as a second array, which would be lost without a word
+        raise SonarjaxError(f"{name}: {field}: expected one array, {header.n_bytes} bytes of numbers, got {there}")
     flat = np.frombuffer(data, header.dtype, math.prod(header.shape), header.offset)
     return flat.reshape(header.shape, order="F" if header.fortran else "C")
 

@@ -1,4 +1,4 @@
-"""Compare what a command will write with what it reads, so that no output replaces an input or another output."""
+"""Check what a command will write: it can be a file, and it replaces no input and no other output."""
 
 from __future__ import annotations
 
@@ -14,21 +14,23 @@ from sonarjax.io.ros import is_bag
 
 
 def check_outputs(outputs: Mapping[str, str | None], inputs: Iterable[str]) -> None:
-    """Check, before anything is written, that no output would replace an input or another output.
+    """Check, before anything is computed, that every output can be a file and replaces no input or other output.
 
-    Nor may it lie in the folder of a bag that is read. Links are followed. A device such as /dev/null may be given
-    twice.
+    Its folder must exist, because to write it may come minutes later. Nor may it lie in the folder of a bag that is
+    read. Links are followed. A device such as /dev/null may be given twice.
 
     Args:
         outputs: Command-line option -> path that was given for it; None if it was not given.
         inputs: Paths, or frames as `path:N`.
 
     Raises:
-        SonarjaxError: An output would replace an input or another output, or lie in an input's folder.
+        SonarjaxError: An output is empty, a folder, or in a folder that does not exist; or it would replace an input or
+            another output, or lie in an input's folder.
     """
     given = [(option, path) for option, path in outputs.items() if path is not None]
     sources = [split_spec(spec).path for spec in inputs]
     for number, (option, path) in enumerate(given):
+        _check_file(option, path)
         for source in sources:
             if same_file(path, source):
                 raise SonarjaxError(f"{option}: {path!r} would overwrite the input {source!r}: expected another file")
@@ -37,6 +39,17 @@ def check_outputs(outputs: Mapping[str, str | None], inputs: Iterable[str]) -> N
         for other, taken in given[:number]:
             if same_file(path, taken):
                 raise SonarjaxError(f"{option}: {path!r} is also {other}: expected another file")
+
+
+def _check_file(option: str, path: str) -> None:
+    """Raise a SonarjaxError if a file could not be written at `path` because of its name or its folder."""
+    folder = os.path.dirname(path) or "."
+    if not path:
+        raise SonarjaxError(f"{option}: expected the name of a file, got ''")
+    if os.path.isdir(path):
+        raise SonarjaxError(f"{option}: {path!r}: expected a file, this is a folder")
+    if not os.path.isdir(folder):
+        raise SonarjaxError(f"{option}: {path!r} cannot be written: expected a folder that exists, got {folder!r}")
 
 
 def check_ending(option: str, path: str | None, endings: Sequence[str]) -> None:

@@ -61,7 +61,8 @@ def parse_png(data: bytes, name: str) -> UInt[np.ndarray, "range beam"]:
     A colour picture is accepted if it is grey (equal channels) and opaque.
 
     Raises:
-        SonarjaxError: `png_size` or the decoder refuses the file, or the picture is not grey and opaque.
+        SonarjaxError: `png_size` or the decoder refuses the file, there are several pictures (an animation), or the
+            picture is not grey and opaque.
     """
     height, width = png_size(data, name)
     _check_complete(data, name)
@@ -71,9 +72,12 @@ def parse_png(data: bytes, name: str) -> UInt[np.ndarray, "range beam"]:
                 raise ValueError("two headers")
             values = _decode(picture)
             transparent = values.ndim == 2 and "transparency" in picture.info
+            pictures = getattr(picture, "n_frames", 1)
     except Exception as error:  # on corrupt chunks a decoder may raise nearly anything
         text = " ".join(str(error).split())[:120] or type(error).__name__
         raise SonarjaxError(f"{name}: cannot be decoded as PNG: {text}") from error
+    if pictures > 1:
+        raise SonarjaxError(f"{name}: expected a PNG of one picture, got an animation of {pictures}")
     if transparent:
         raise SonarjaxError(f"{name}: expected a grey, opaque picture, got one grey value that is transparent (tRNS)")
     if values.ndim == 3:

@@ -117,6 +117,27 @@ def test_what_is_known_of_the_geometry_survives_the_file(found, tmp_path):
         sj.Sonar.from_toml(path)
 
 
+@pytest.mark.parametrize("out", ["no/fitted.toml", "", "."])
+def test_an_output_that_cannot_be_is_refused_before_the_fit(complaint, place, tmp_path, monkeypatch, out):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys.modules["sonarjax.calibrate"], "calibrate", lambda *_, **__: pytest.fail("fitted"))
+    assert "--out: " in complaint(2, *arguments(place, place / "a.npz", out=out))
+    assert "--png: " in complaint(2, *arguments(place, place / "a.npz", out="fitted.toml", png="no/p.png"))
+
+
+@pytest.mark.parametrize(("failure", "expected"), [(BrokenPipeError(), 141), (SonarjaxError("stdout: full"), 2)])
+def test_a_result_is_written_even_if_it_cannot_be_said(command, place, tmp_path, found, monkeypatch, failure, expected):
+    def fail(_):
+        raise failure
+
+    monkeypatch.setattr(sys.modules["sonarjax.calibrate"], "calibrate", lambda *_, **__: found)
+    monkeypatch.setattr("sonarjax.cli.calibrate.say", fail)
+    monkeypatch.setattr("sonarjax.cli.silence_stdout", lambda: None)
+    out = tmp_path / "fitted.toml"
+    assert command(*arguments(place, *[place / "a.npz"] * len(found.used), out=out))[0] == expected
+    assert sj.Sonar.from_toml(out).geometry_std.tilt == pytest.approx(0.002)
+
+
 def test_a_result_is_said_before_a_file_may_fail(command, place, tmp_path, found, monkeypatch):
     """It took minutes to find."""
 

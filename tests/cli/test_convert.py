@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 import os
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.ndimage import gaussian_filter
 
-from sonarjax.io import fan_around, read_frames, write_png
+from sonarjax.io import Frame, SonarjaxError, describe, fan_around, one_frame, read_frames, write_bag, write_png
 from sonarjax.sonar import Sonar
 from tests.cli.files import recording
 
@@ -182,6 +184,24 @@ def test_fan_is_put_on_the_beams_of_an_uneven_sonar(command, uneven, tmp_path):
     assert np.sqrt(np.mean((read_frames(out)[0].image - before.image)[inner] ** 2)) > 0.02
 
 
+@pytest.mark.parametrize(("low_deg", "high_deg"), [(-8, 20), (-20, 8), (-13.749, 13.876)])
+def test_fan_of_beams_that_reach_farther_to_one_side(command, tmp_path, low_deg, high_deg):
+    """The box of its pixels is that of the real beams, not of the sector about the middle that holds them."""
+    toml, polar, seen, out = (tmp_path / name for name in ("s.toml", "p.npz", "p.png", "q.npz"))
+    azimuth_deg = np.linspace(low_deg, high_deg, 96)
+    own = "range_min_m = 1.5\nrange_max_m = 4.0\nn_ranges = 100\ntilt_deg = 20\nheight_m = 1\n"
+    toml.write_text(f"{own}azimuth_deg = {azimuth_deg.tolist()}\nelevation_aperture_deg = 14\n")
+    edges = np.linspace(1.5, 4.0, 101)
+    image = gaussian_filter(np.random.default_rng(0).random((100, 96)), 1.5)
+    np.savez(polar, image=image, azimuth_deg=azimuth_deg, range_edges_m=edges)
+    assert command("convert", polar, "--out", seen)[0] == 0
+    for options in ((), ("--frame",)):
+        assert command("convert", seen, "--sonar", toml, *options, "--out", out)[::2] == (0, "")
+        back = read_frames(out)[0]
+        assert back.mask.all()
+        assert np.sqrt(np.mean((back.image - image)[2:-2, 2:-2] ** 2)) < 0.05 * image.std()
+
+
 def test_picture_of_a_smaller_window_fills_its_part_of_the_sonars(command, uneven, tmp_path):
     """What the picture does not show is masked; the rest is where it was."""
     assert command("convert", uneven.polar, "--out", uneven.seen)[0] == 0
@@ -280,7 +300,7 @@ def test_frame_of_the_right_shape_is_recognized(command, place, fan, tmp_path, s
         (("FAN", "--opening-deg", 29, "--range-max", 4, "--out", "p.npz"), 2, "fan.png: --range-min: required"),
         (("FAN", *SECTOR, "--out", "p.jpg"), 2, "--out: 'p.jpg': expected an ending .npz"),
         (("FAN", *SECTOR, "--out", "FAN"), 2, "would overwrite the input"),
-        (("FAN", *SECTOR, "--out", "missing/p.npz"), 2, "missing/p.npz: cannot be written"),
+        (("FAN", *SECTOR, "--out", "missing/p.npz"), 2, "--out: 'missing/p.npz' cannot be written: expected a fold"),
         (("FAN", *SECTOR, "--width", 300, "--out", "p.npz"), 2, "--width: can only be used with a .png"),
         (("a.npy", *SECTOR, "--apex", 0, "--out", "p.png"), 2, "--apex: can only be used with a .npz"),
         (("a.npy", "--range-min", 0, "--out", "p.bag"), 2, "--range-min: cannot be used with the bag"),
@@ -307,7 +327,7 @@ def test_frame_of_the_right_shape_is_recognized(command, place, fan, tmp_path, s
         (("missing.png", *SECTOR, "--out", "p.npz"), 1, "missing.png: no such file"),
         (("broken.png", *SECTOR, "--out", "p.npz"), 1, "broken.png: expected a PNG file, this is none"),
         (("own.npz", "missing.aris", "--out", "p.mcap"), 1, "missing.aris: no such file"),
-        (("own.npz", "--out", "missing/p.mcap"), 2, "missing/p.mcap: cannot be written"),
+        (("own.npz", "--out", "missing/p.mcap"), 2, "--out: 'missing/p.mcap' cannot be written: expected"),
         (("own.npz", "a.npy", "--out", "p.png"), 2, "--out: 'p.png' holds one frame: expected one FILE, got 2"),
     ],
 )  # fmt: skip
@@ -343,6 +363,25 @@ def test_frames_become_one_log(command, complaint, tmp_path, ending):
     write_png(tmp_path / "grey.png", images[0])
     said = complaint(2, "convert", names[0], tmp_path / "grey.png", "--out", tmp_path / f"b.{ending}")
     assert "grey.png" in said and not (tmp_path / f"b.{ending}").exists()
+
+
+@pytest.mark.parametrize(("module", "read"), [("convert", one_frame), ("describe", describe)])
+def test_a_file_that_gives_no_frame_is_an_error(monkeypatch, module, read):
+    monkeypatch.setattr(sys.modules[f"sonarjax.io.{module}"], "iter_frames", lambda spec: iter(()))
+    with pytest.raises(SonarjaxError, match="^log.mcap:6: expected a frame, the file gives none$"):
+        read("log.mcap:6")
+
+
+@pytest.mark.parametrize("command_line", [("info",), ("convert", "--out", "m.png")])
+def test_a_frame_that_a_bag_only_counts_is_an_error(complaint, tmp_path, monkeypatch, command_line):
+    pytest.importorskip("rosbags")
+    monkeypatch.chdir(tmp_path)
+    axes = {"azimuth_deg": [-1.0, 0.0, 1.0], "range_min_m": 1.0, "range_max_m": 2.0}
+    write_bag("log", [Frame(np.zeros((4, 3), np.float32), None, "f", "f", axes)] * 5)
+    stated = Path("log/metadata.yaml")
+    stated.write_text(stated.read_text().replace("message_count: 5", "message_count: 8"))
+    said = complaint(1, command_line[0], "log:6", *command_line[1:])
+    assert said == "sonarjax: error: log:/sonar_image: frame 6: expected 0 to 4, the bag holds only 5\n"
 
 
 @pytest.mark.parametrize("ending", ["bag", "mcap"])

@@ -211,6 +211,31 @@ def test_box_of_a_sector_by_hand():
     assert geometry.polar_shape() == (round(1 / geometry.row_m), round(math.pi / 3 * 1.5 / 0.01))
 
 
+@pytest.mark.parametrize(
+    ("edges_deg", "apex_column", "column_m"),
+    [
+        ((-30, 30), 120.0, 2 / 200),
+        ((-30, 0), 20.0, 1 / 200),
+        ((10, 30), 20 + 200 * 1 / (1 - math.sin(math.radians(10))), (1 - math.sin(math.radians(10))) / 200),
+    ],
+)
+def test_box_of_a_part_of_a_sector_by_hand(edges_deg, apex_column, column_m):
+    """Beams on one side of the middle: their box begins at the sonar, or at the near end of the inner beam."""
+    edges = math.radians(edges_deg[0]), math.radians(edges_deg[1])
+    geometry = fit_fan(PictureBox(10.0, 110.0, 20.0, 220.0), math.radians(60), 1.0, 2.0, edges=edges)
+    top = 2 * math.cos(math.radians(max(edges_deg[0], 0)))
+    assert geometry.column_m == pytest.approx(column_m)
+    assert geometry.apex_column == pytest.approx(apex_column)
+    assert geometry.row_m == pytest.approx((top - math.sqrt(3) / 2) / 100)
+    assert geometry.apex_row == pytest.approx(10 + top / geometry.row_m)
+
+
+def test_a_sector_between_its_own_edges_is_the_sector():
+    for opening in (0.5, 2.0, math.pi, 5.0, 2 * math.pi):
+        whole = fit_fan(BOX, opening, 1.0, 2.0)
+        assert fit_fan(BOX, opening, 1.0, 2.0, edges=(-opening / 2, opening / 2)) == whole
+
+
 def eight_bit(rng, image=None) -> np.ndarray:
     """A fan of speckle, or of `image`: 8 bits, 19 black pixels around, and nothing measured is 0."""
     picture, seen, _ = fan_of(speckled(rng) if image is None else image)

@@ -5,6 +5,7 @@ import zlib
 
 import numpy as np
 import pytest
+from PIL import Image
 from skimage import io as skimage_io
 
 from sonarjax.io import PIXEL_LIMIT, SonarjaxError, describe, read_frames, write_npz
@@ -192,6 +193,18 @@ BAD_MEMBERS = [
     ),
     ({"image": UNIT, "azimuth_deg": np.zeros(4), "range_edges_m": np.arange(4.0)}, "in ascending order"),
     ({"image": UNIT, "azimuth_deg": np.full(4, np.nan), "range_edges_m": np.arange(4.0)}, "expected finite"),
+    (
+        {"image": UNIT, "azimuth_deg": np.arange(4.0), "range_edges_m": np.linspace(-1, 1, 4)},
+        "range_edges_m: expected numbers from 0 to 1000, got -1 to 1",
+    ),
+    (
+        {"image": UNIT, "azimuth_deg": np.arange(4.0), "range_edges_m": np.linspace(1, 2000, 4)},
+        "range_edges_m: expected numbers from 0 to 1000, got 1 to 2000",
+    ),
+    (
+        {"image": UNIT, "azimuth_deg": np.array([-400.0, 0, 1, 500]), "range_edges_m": np.arange(4.0)},
+        "azimuth_deg: expected numbers from -180 to 180, got -400 to 500",
+    ),
     ({"image": b"nonsense"}, "image: expected NPY data"),
 ]
 
@@ -200,6 +213,21 @@ BAD_MEMBERS = [
 def test_bad_npz(make, saved, members, message):
     with pytest.raises(SonarjaxError, match=message):
         read_frames(saved("a.npz", make.npz(**members)))
+
+
+def test_a_second_array_is_not_dropped_without_a_word(make, saved):
+    path = saved("a.npy", make.npy(UNIT) + make.npy(UNIT))
+    with pytest.raises(SonarjaxError, match="a.npy: image: expected one array, 48 bytes of numbers, got 224"):
+        read_frames(path)
+
+
+@pytest.mark.parametrize("alone", [False, True])
+def test_an_animated_png_is_refused(tmp_path, alone):
+    """Also one whose first picture is no part of the animation."""
+    path, pictures = tmp_path / "a.png", [Image.fromarray(GREY // k) for k in (1, 2)]
+    pictures[0].save(path, save_all=True, append_images=pictures[1:], default_image=alone)
+    with pytest.raises(SonarjaxError, match="a.png: expected a PNG of one picture, got an animation of 2"):
+        read_frames(path)
 
 
 @pytest.mark.parametrize("ending", ["npy", "npz", "png"])

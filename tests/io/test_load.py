@@ -12,6 +12,7 @@ UNIT = np.linspace(0, 1, 6, dtype=np.float32).reshape(2, 3)
 
 def test_specs(make, saved):
     assert split_spec("a/b.aris:12") == ("a/b.aris", 12, None)
+    assert split_spec("a/b.aris:-1") == ("a/b.aris", -1, None)
     assert split_spec("a/b.aris") == ("a/b.aris", None, None)
     assert split_spec("C:/b.aris") == ("C:/b.aris", None, None)
     odd = saved("odd:3", b"x")
@@ -48,11 +49,11 @@ def test_other_bad_specs(make, saved):
     with pytest.raises(SonarjaxError, match="unknown ending ''"):
         read_frames(saved("frame", b"x"))
     path = saved("a.npy", make.npy(UNIT))
-    for index in ("1", "99999999999999999"):
+    for index in ("1", "-1", "99999999999999999"):
         with pytest.raises(SonarjaxError, match=f"frame {index}: expected 0 to 0"):
             read_frames(f"{path}:{index}")
-    with pytest.raises(SonarjaxError):
-        read_frames(f"{path}:-1")
+    with pytest.raises(SonarjaxError, match="frame -1: expected 0 to 1, the file holds 2"):
+        read_frames(f"{saved('b.aris', make.aris())}:-1")
     with pytest.raises(SonarjaxError):
         read_frames("a\0.npy")
 

@@ -1,4 +1,4 @@
-"""An output never takes the place of an input or of another output, whatever the path or link that names it."""
+"""An output can be a file, and never takes the place of an input or another output, whatever path or link names it."""
 
 import os
 
@@ -49,10 +49,27 @@ def test_two_outputs_in_one_file():
             check_outputs({"--out": "new.npz", "--png": png}, ["m.stl"])
 
 
+@pytest.mark.parametrize(
+    ("path", "said"),
+    [
+        ("", "--out: expected the name of a file, got ''"),
+        ("sub", "--out: 'sub': expected a file, this is a folder"),
+        ("sub/", "--out: 'sub/': expected a file, this is a folder"),
+        ("no/r.toml", "--out: 'no/r.toml' cannot be written: expected a folder that exists, got 'no'"),
+        ("f.npz/r.toml", "--out: 'f.npz/r.toml' cannot be written: expected a folder that exists, got 'f.npz'"),
+    ],
+)
+def test_an_output_that_can_be_no_file(path, said):
+    with pytest.raises(SonarjaxError) as caught:
+        check_outputs({"--png": None, "--out": path}, ["m.stl"])
+    assert str(caught.value) == said
+
+
 def test_outputs_that_are_fine():
     check_outputs({"--out": "new.npz", "--png": None}, ["m.stl", "absent.toml", "nul\0"])
     check_outputs({"--out": "/dev/null", "--png": "/dev/null"}, ["m.stl"])
     check_outputs({"--out": "f.npz", "--png": "f.png"}, ["m.stl"])
+    check_outputs({"--out": "sub/new.npz", "--png": os.path.abspath("sub/../f.png")}, ["m.stl"])
 
 
 def test_ending_of_an_output():

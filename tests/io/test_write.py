@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from functools import partial
 
 import numpy as np
 import pytest
@@ -157,6 +158,43 @@ def test_json_lines_ends_a_line_that_was_cut_off(tmp_path):
     with JsonLines(path) as lines:
         lines.write({"c": 3})
     assert path.read_text().splitlines() == ['{"a": 1}', '{"b": ', '{"c": 3}']
+
+
+@pytest.mark.parametrize("held", [b'{"a": 1}\n{"b": ', b'{"a": 1}\n', b" \n\n"])
+def test_json_lines_change_nothing_before_the_first_record(tmp_path, held):
+    path = tmp_path / "r.jsonl"
+    path.write_bytes(held)
+    with JsonLines(path) as lines:
+        assert path.read_bytes() == held
+        lines.write({"c": 3})
+        lines.write({"c": 4})
+    ended = held if held.endswith(b"\n") else held + b"\n"
+    assert path.read_bytes() == ended + b'{"c": 3}\n{"c": 4}\n'
+
+
+@pytest.mark.parametrize("held", [b"solid brick", b"\n [1]\n", b"\x93NUMPY", b"\0{"])
+def test_json_lines_leave_another_file_alone(tmp_path, held):
+    path = tmp_path / "r.jsonl"
+    path.write_bytes(held)
+    (tmp_path / "link").symlink_to(path)
+    for name in (path, tmp_path / "link"):
+        with pytest.raises(SonarjaxError, match="expected JSON lines to append to, got a file that begins"):
+            JsonLines(name)
+    assert path.read_bytes() == held
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/stdout"), reason="no /dev/stdout")
+def test_json_lines_go_where_a_shell_leads_them(tmp_path):
+    """To a pipe, and to the end of a log of other text."""
+    program = "from sonarjax.io import JsonLines\nwith JsonLines('/dev/stdout') as lines: lines.write({'a': 1})"
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    run = partial(subprocess.run, [sys.executable, "-c", program], timeout=60, env=environment, check=True)
+    assert run(stdout=subprocess.PIPE).stdout == b'{"a": 1}\n'
+    log = tmp_path / "log"
+    log.write_text("begun\n")
+    with open(log, "a") as stdout:
+        run(stdout=stdout)
+    assert log.read_text() == 'begun\n{"a": 1}\n'
 
 
 def test_json_lines_survive_a_kill(tmp_path):
