@@ -177,7 +177,8 @@ def load(runs: Path, experiment: str) -> Run:
     which says how to make one, when there is none, and when what lies there is no report.
     """
     name, *options = experiment.split()
-    wanted = dict(zip((one.removeprefix("--") for one in options[::2]), options[1::2], strict=True))
+    names = (one.removeprefix("--").replace("-", "_") for one in options[::2])
+    wanted = dict(zip(names, options[1::2], strict=True))
     command = f"python -m experiments.{experiment}"
     try:
         paths = runs.glob(f"{name}/*/{RESULTS}")
