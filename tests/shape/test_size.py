@@ -18,7 +18,7 @@ SONAR = sj.Sonar.preset("didson-hf", tilt=math.radians(20.0))
 YAWS = np.radians([10.0, 95.0, 160.0, 230.0, 310.0])
 POSES = sj.Pose(2.2, 0.05, YAWS)
 BLANK = np.zeros((len(YAWS), *SONAR.shape), np.float32)
-DIFFERENT = BLANK + np.arange(len(YAWS), dtype=np.float32)[:, None, None]
+DIFFERENT = BLANK + np.linspace(0, 1, len(YAWS), dtype=np.float32)[:, None, None]
 
 
 def brick(size: tuple[float, ...]) -> sj.Mesh:
