@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 import math
-import threading
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
@@ -197,21 +197,20 @@ def test_files_are_taken_in_natural_order(tmp_path):
 
 
 def test_a_followed_folder_gives_files_that_come_later_once_they_are_whole(tmp_path, monkeypatch):
-    monkeypatch.setattr(stream, "POLL_S", 0.05)
+    """A file grows at each of 20 polls; time passes by sleeping alone, so that a busy machine changes nothing."""
     (tmp_path / "1.npz").write_bytes(b"x")
+    slept: list[float] = []
 
-    def write() -> None:
-        with open(tmp_path / "2.npz", "wb", buffering=0) as file:
-            for _ in range(20):
+    def sleep(seconds: float) -> None:
+        slept.append(seconds)
+        if len(slept) <= 20:
+            with open(tmp_path / "2.npz", "ab") as file:
                 file.write(b"x" * 1000)
-                threading.Event().wait(0.02)
 
-    taken = []
-    for path in stream.folder_files(tmp_path, 1.0):
-        taken.append((path.name, path.stat().st_size))
-        if len(taken) == 1:
-            threading.Thread(target=write).start()
+    monkeypatch.setattr(stream, "time", SimpleNamespace(monotonic=lambda: sum(slept), sleep=sleep))
+    taken = [(path.name, path.stat().st_size) for path in stream.folder_files(tmp_path, 20.0)]
     assert taken == [("1.npz", 1), ("2.npz", 20_000)]
+    assert sum(slept) == pytest.approx(20 * stream.POLL_S + 20.0, abs=2 * stream.POLL_S)  # it ends once none has come
 
 
 def test_the_time_of_a_frame_is_read_where_its_file_tells_it():

@@ -61,10 +61,9 @@ def folder_files(folder: Path, follow: float) -> Iterator[Path]:
             done.add(path)
             yield path
         before, last = now, time.monotonic() if ready else last
-        if not ready:
-            if time.monotonic() - last >= follow:
-                return
-            time.sleep(min(POLL_S, follow))
+        if not ready and time.monotonic() - last >= follow:
+            return
+        time.sleep(min(POLL_S, follow))  # after a file was taken too: within no time none changes
 
 
 def _state(path: Path) -> tuple[int, int] | None:
