@@ -221,7 +221,7 @@ def _check_given(mesh: Any, sonar: Any, start: Any, config: Any) -> None:
 
 
 def _window_within(sonar: Sonar, window: WindowSize | None) -> WindowSize | None:
-    """The window. Raises a SonarjaxError if it is none, or larger than the frame."""
+    """The window. Raises a SonarjaxError if it is no `WindowSize`, or larger than the frame."""
     if window is not None:
         check_kind(window, WindowSize, "window")
     if window is not None and any(n > most for n, most in zip(window.shape, sonar.shape, strict=True)):

@@ -15,6 +15,7 @@ from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import OutOfViewError, SonarjaxError
 from sonarjax.io.given import check_kind, is_number, is_whole, number_array, shown
 from sonarjax.records import record
+from sonarjax.render.fits import check_single
 from sonarjax.render.frame import RenderQuality
 from sonarjax.render.region import (
     MARGIN_BEAMS,
@@ -138,9 +139,7 @@ def template_bank(
 
 
 def _check_given(mesh: Mesh, sonar: Sonar, quality: RenderQuality, margin: Any, place: dict[str, Any]) -> None:
-    check_kind(mesh, Mesh, "mesh")
-    if mesh.closed.shape:
-        raise SonarjaxError(f"mesh: expected one mesh, got a stack of shape {mesh.closed.shape}")
+    check_single(mesh, "mesh")
     check_sonar_alone(sonar)
     check_kind(quality, RenderQuality, "quality")
     if np.shape(margin) != (2,) or not all(is_whole(v) and v >= 0 for v in margin):

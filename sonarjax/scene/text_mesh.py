@@ -63,12 +63,17 @@ def _absolute(lines: Sequence[bytes]) -> Iterator[bytes]:
     """The lines of an OBJ file, with faces of absolute vertex numbers alone: −1 is the last vertex before the line."""
     vertices = 0
     for line in lines:
-        kind, *rest = line.split() or [b""]
+        kind = line.split(None, 1)[0] if line.strip() else b""
         vertices += kind == b"v"
         if kind == b"f":
-            numbers = [_number(corner) for corner in rest]
+            numbers = [_number(corner) for corner in _corners(line)]
             line = b"f " + b" ".join(b"%d" % (n + vertices + 1 if n < 0 else n) for n in numbers)
         yield line
+
+
+def _corners(face: bytes) -> list[bytes]:
+    """The corners in a face's line, without a comment after them."""
+    return face.split(b"#", 1)[0].split()[1:]
 
 
 def _number(corner: bytes) -> int:
@@ -80,7 +85,7 @@ def _check_polygons(path: Path, lines: Sequence[bytes], faces: Sequence[bytes]) 
     """Raise a SonarjaxError for a face with fewer than three corners, or a polygon that is not convex."""
     polygons = defaultdict(list)
     for face in faces:
-        corners = face.split(b"#", 1)[0].split()[1:]
+        corners = _corners(face)
         if len(corners) < 3:
             raise SonarjaxError(f"{path}: face {_shown(face)}: expected three or more corners: truncated or corrupt")
         if len(corners) > 3:
@@ -89,7 +94,7 @@ def _check_polygons(path: Path, lines: Sequence[bytes], faces: Sequence[bytes]) 
         return
     vertices = np.array([line.split()[1:4] for line in lines if line.startswith((b"v ", b"v\t"))], np.float64)
     for alike in polygons.values():
-        numbers = np.array([[_number(c) for c in face.split(b"#", 1)[0].split()[1:]] for face in alike])
+        numbers = np.array([[_number(corner) for corner in _corners(face)] for face in alike])
         if numbers.min() < 1 or numbers.max() > len(vertices):
             continue  # `Mesh` reports it
         inward = np.flatnonzero(_turn_inward(vertices[numbers - 1]))
