@@ -1,7 +1,8 @@
-"""Products of matrices in full float32, on every device.
+"""Numbers in float32, neither coarser nor finer.
 
 GPUs and TPUs multiply float32 matrices after rounding their entries to 10 bits or fewer, unless told otherwise
-(`jax.default_matmul_precision`). That suits networks, but it moves a point 5 m away by millimetres.
+(`jax.default_matmul_precision`). That suits networks, but it moves a point 5 m away by millimetres. In JAX's 64-bit
+mode some numbers become float64 and do not fit the others.
 """
 
 from __future__ import annotations
@@ -11,6 +12,9 @@ from functools import wraps
 from typing import Any, TypeVar
 
 import jax
+import numpy as np
+
+from sonarjax.io.errors import SonarjaxError
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -33,3 +37,13 @@ def full_precision(function: F) -> F:
             return function(*args, **kwargs)
 
     return exact  # type: ignore[return-value]
+
+
+def check_single_precision() -> None:
+    """Check that JAX is not in its 64-bit mode, which this package does not support.
+
+    Raises:
+        SonarjaxError: It is.
+    """
+    if jax.dtypes.canonicalize_dtype(np.float64) == np.float64:
+        raise SonarjaxError("JAX_ENABLE_X64: expected it off: call sonarjax within `with jax.enable_x64(False):`")

@@ -1,4 +1,7 @@
-"""Products of matrices are asked for in full float32: a GPU would otherwise round their entries to 10 bits."""
+"""Products of matrices are asked for in full float32: a GPU would otherwise round their entries to 10 bits.
+
+And JAX's 64-bit mode ends in one clear error, unless a call switches it off.
+"""
 
 from __future__ import annotations
 
@@ -60,6 +63,16 @@ WORK: dict[str, Callable[[sj.Pose], Any]] = {
 }
 
 
+IN_64_BITS: dict[str, Callable[[], Any]] = {
+    "render": lambda: sj.render(brick(), POSE, SONAR),
+    "observe": lambda: observe_scene(brick(), POSE, SONAR, sj.SensorModel.nominal(), key=jax.random.key(0)),
+    "template_bank": lambda: sj.template_bank(brick(), SONAR, np.array([0.0, 0.5]), x=2.3),
+    "refine_yaw": lambda: refined(POSE),
+    "segment": lambda: sj.segment(np.full(SONAR.shape, 0.5), sj.load_segmenter().weights),
+    "recognize": lambda: sj.recognize(np.full(SONAR.shape, 0.5), brick(), SONAR),
+}
+
+
 @pytest.mark.parametrize("name", WORK)
 def test_no_product_of_matrices_is_rounded(name: str) -> None:
     count, bad = rounded(WORK[name], POSE)
@@ -78,3 +91,18 @@ def test_the_callers_choice_holds_outside() -> None:
 
     count, bad = rounded(both, jnp.ones((2, 2)))
     assert (count, len(bad)) == (2, 1)
+
+
+@pytest.mark.parametrize("name", IN_64_BITS)
+def test_64_bit_mode_is_refused(name: str) -> None:
+    with jax.enable_x64(True), pytest.raises(sj.SonarjaxError, match=r"JAX_ENABLE_X64: .*jax\.enable_x64\(False\)"):
+        IN_64_BITS[name]()
+
+
+def test_64_bit_mode_can_be_switched_off_for_a_call() -> None:
+    with jax.enable_x64(True):
+        yaw = jnp.asarray(POSE.yaw, jnp.float64)
+        with jax.enable_x64(False):
+            slope = jax.grad(loss)(sj.Pose(POSE.x, POSE.y, yaw)).yaw
+    assert slope.dtype == jnp.float32
+    assert float(slope) == float(jax.grad(loss)(POSE).yaw) != 0.0

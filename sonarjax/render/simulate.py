@@ -51,8 +51,8 @@ def render(
     Raises:
         SonarjaxError: An argument is of another kind; the numbers of meshes and poses differ, or a sequence holds a
             batch; there is no pose, or the poses do not fit the stacked meshes; the sonar is a batch; a reflectivity
-            has another length than the mesh has triangles; or a pose (unless traced) is not finite or absurdly far
-            away.
+            has another length than the mesh has triangles; a pose (unless traced) is not finite or absurdly far away;
+            or JAX is in its 64-bit mode.
     """
     check_sonar_alone(sonar)
     check_kind(quality, RenderQuality, "quality")

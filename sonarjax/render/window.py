@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
-from sonarjax.exact import full_precision
+from sonarjax.exact import check_single_precision, full_precision
 from sonarjax.render.candidates import candidates, front_faces
 from sonarjax.render.energy import floor_energy, floor_lit, object_energy
 from sonarjax.render.frame import RenderQuality, SonarFrame, Window
@@ -61,6 +61,7 @@ class VisibleProfile(NamedTuple):
 @full_precision
 def in_sonar_frame(mesh: Mesh, pose: Pose, sonar: Sonar) -> Scene:
     """The mesh at `pose` seen from the sonar: vertices (vertex, 3) [m] in the sonar frame, aperture and floor."""
+    check_single_precision()
     rotation = rotation_y(sonar.tilt) @ rotation_x(sonar.roll)  # columns: the sonar's axes in the ground frame
     height = jnp.asarray(sonar.height, jnp.float32)
     head = jnp.stack([jnp.zeros_like(height), jnp.zeros_like(height), height])

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from sonarjax.crops import LEAST, PATCH, TRAINING_FRAME, Box, cut_box, paste_patch
+from sonarjax.exact import check_single_precision
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.given import check_kind, image_array, number_array
 from sonarjax.segment.objects import find_objects
@@ -70,8 +71,10 @@ def segment(
         Map (range, beam): shadow 0, background 0.5, highlight 1.
 
     Raises:
-        SonarjaxError: The image is not one frame, the mask has another shape, or `weights` is something else.
+        SonarjaxError: The image is not one frame, the mask has another shape, `weights` is something else, or JAX is in
+            its 64-bit mode.
     """
+    check_single_precision()
     check_kind(weights, GeneratorWeights, "weights")
     check_frame(image, mask)
     return _segment(image, weights, mask, closer=closer, tile=tile)
