@@ -18,10 +18,10 @@ class Engine:
         return 1
 
     def run(self, function: Callable[..., Any], *args: Any, **static: Any) -> Any:
-        """Call a function under `jax.jit`.
+        """Call a function. This engine leaves compiling to JAX; another may do it itself, and keep the result.
 
         Args:
-            function: The function.
+            function: A function under `jax.jit`, or a plain one.
             *args: Its arguments.
             **static: Its static arguments, by name.
 

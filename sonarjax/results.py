@@ -20,7 +20,8 @@ COVERAGES = {"within_68": 0.68, "within_95": 0.95}
 def record_of(result: Recognition, frame: str, seconds: float, tracked: Tracked | None = None) -> dict[str, Any]:
     """Make the line of a results file for one frame.
 
-    Angles are in degrees in [0, 360), lengths in metres.
+    Lengths are in metres, yaws in degrees in [0, 360). An interval of yaws across 0 ends above 360, and a rate of
+    turning has a sign.
 
     Args:
         result: What was found in the frame.

@@ -16,7 +16,7 @@ import json, math, os, sys
 from dataclasses import replace
 import jax, numpy as np, trimesh
 import sonarjax as sj
-from sonarjax.data import FrameSettings, Pairs, export_pairs, make_dataset
+from sonarjax.data import FrameSettings, Pairs, PairSettings, export_pairs, make_dataset, make_pairs, split_key
 from sonarjax.io import Frame
 from sonarjax.segment.step import GanConfig
 from sonarjax.segment.training import PRESETS, find_recipe, train
@@ -113,7 +113,16 @@ CASES = {
     "sj.SearchConfig(quality=3)": "quality: expected a RenderQuality, got 3",
     "sj.RefineConfig(quality=3)": "quality: expected a RenderQuality, got 3",
     "sj.refine_yaw(im, m, s, p, window=(64, 16))": "window: expected a WindowSize, got a tuple",
-    "sj.LeanSearchConfig(lean='x')": "LeanSearchConfig: expected positive angles for lean and apart, got ",
+    "sj.LeanSearchConfig(lean='x')": "lean: expected an angle above 0 and below π/2 [rad], got 'x'",
+    "sj.template_bank(m, s, [0.0], x=2.3, size=(96, 24))": "size: expected a WindowSize, got a tuple",
+    "make_pairs(2.5, key=key)": "count: expected a whole number of 1 or more, got 2.5",
+    "make_pairs('3', key=key)": "count: expected a whole number of 1 or more, got '3'",
+    "make_pairs(1, key=3)": f"{KEY}3",
+    "make_pairs(1, {}, key=key)": "settings: expected a PairSettings, got ",
+    "split_key('a', 'train')": "run_seed: expected a whole number, got 'a'",
+    "PairSettings(n_ranges=-3)": "n_ranges: expected a whole number of 1 or more, got -3",
+    "PairSettings(odd=2.0)": "odd: expected a share from 0 to 1, got 2.0",
+    "PairSettings(severity=(2.0, 1.0))": "severity: expected two numbers of 0 or more in order, got ",
     "sj.Sonar.preset('didson-hf', roll=2.0)": "roll must be between -90° and 90°, got 114.592°",
     "sj.Recognizer(m, s.replace(tilt=1.5), segmenter='none')": "tilt plus half of elevation_aperture must be ",
     "sj.PoseFinder('x.stl', s)": f"mesh: {MESH}'x.stl'",

@@ -23,6 +23,7 @@ from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.given import check_kind
 from sonarjax.match import SearchConfig
 from sonarjax.refine.free import wrapped
+from sonarjax.render.room import with_lean_room
 from sonarjax.scene import Mesh, Pose
 from sonarjax.segment import DEFAULT_SEGMENTER, Segmenter, load_segmenter
 from sonarjax.sensor import SensorModel
@@ -157,7 +158,8 @@ def calibrate(
     if poses is not None:
         starts = starts_of(poses, len(images), sonar)
         prepared = [Prepared(image, mask, image) for image, mask in zip(images, measured, strict=True)]
-        job = Job(prepared, mesh, sonar, names, std, engine, progress, WIDENING)
+        roomy = with_lean_room(mesh, poses, sonar)
+        job = Job(prepared, roomy, sonar, names, std, engine, progress, WIDENING)
         fit, known = fit_frames(job, prepared, starts, with_nominal_look(np.zeros(len(names))))
         return _as_calibration(job, stated, fit, known, poses, np.ones(len(images)), np.ones(len(images), bool))
     made = segmenter if isinstance(segmenter, Segmenter) else load_segmenter(segmenter)

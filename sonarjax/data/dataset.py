@@ -223,14 +223,18 @@ def _plan(
 def _facts(plan: Plan, meshes: Mapping[str, Mesh], license: str) -> dict[str, Any]:
     """The content of the folder's settings file. Two runs for which it is equal make the same files."""
     known = [
-        {"name": name, "triangles": _triangles(mesh), "sha256": _digest([mesh.vertices, mesh.faces])}
-        for name, mesh in meshes.items()
+        {"name": name, "triangles": _triangles(mesh), "sha256": _digest(_arrays(mesh))} for name, mesh in meshes.items()
     ]
     return {
         "version": VERSION, "format": plan.format, "count": plan.frames, "key": plan.key.tolist(), "meshes": known,
         "sonar": _digest([*jax.tree.leaves(plan.sonar), np.asarray(plan.sonar.shape)]),
         "settings": dataclasses.asdict(plan.settings), "license": license,
     }  # fmt: skip
+
+
+def _arrays(mesh: Mesh) -> list[Any]:
+    """What of a mesh the frames depend on."""
+    return [mesh.vertices, mesh.faces] + ([] if mesh.reflectivity is None else [mesh.reflectivity])
 
 
 def _triangles(mesh: Mesh) -> int:

@@ -196,6 +196,6 @@ def join_layout(meshes: Mesh, layout: Layout, room: int) -> tuple[Mesh, Objects]
         front=min(room * count * meshes.front, count * n_faces),
         events=count * min(meshes.events, picked.crease.shape[1]),
         intersecting=meshes.intersecting,  # the objects stand apart
-        reflectivity=None,
+        reflectivity=None if picked.reflectivity is None else picked.reflectivity.reshape(-1),
     )
     return joined, Objects(jnp.repeat(jnp.arange(count), n_faces), count)

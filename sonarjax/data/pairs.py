@@ -7,6 +7,7 @@ floor that is missing or unlit, although it looks dark (a template is 0.5 there)
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -17,6 +18,7 @@ from jaxtyping import Array, Float, UInt8
 
 from sonarjax.crops import TRAINING_FRAME, cut_box
 from sonarjax.data.crops import cut_labels, draw_box
+from sonarjax.data.draws import key_numbers
 from sonarjax.data.materials import draw_reflectivity
 from sonarjax.data.objects import draw_shape
 from sonarjax.data.scenes import render_scenes
@@ -26,6 +28,7 @@ from sonarjax.data.views import draw_view
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.exact import full_precision
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.given import check_kind, check_whole, is_number, is_whole, several, shown
 from sonarjax.records import record
 from sonarjax.render import RenderQuality
 from sonarjax.scene import Pose
@@ -65,6 +68,18 @@ class PairSettings:
     tank: bool = False
     """Use only views of §3.1 (`draw_tank_view`), instead of any sonar at any place (`draw_view`)."""
 
+    def __post_init__(self) -> None:
+        """Raise a SonarjaxError for settings that no pair can have."""
+        for name in ("n_ranges", "n_beams", "sub_beams", "elevations"):
+            check_whole(getattr(self, name), 1, name)
+        for name in ("odd", "smoothed"):
+            if not (is_number(getattr(self, name)) and 0 <= getattr(self, name) <= 1):
+                raise SonarjaxError(f"{name}: expected a share from 0 to 1, got {shown(getattr(self, name))}")
+        found = several(self.severity) or ()
+        if len(found) != 2 or not all(map(is_number, found)) or not 0 <= found[0] <= found[1] < math.inf:
+            raise SonarjaxError(f"severity: expected two numbers of 0 or more in order, got {shown(self.severity)}")
+        object.__setattr__(self, "severity", (float(found[0]), float(found[1])))  # a list has no hash
+
 
 PAPER_SETTINGS = PairSettings(odd=0.0, smoothed=0.0, tank=True)
 """The pairs of §3.1: a DIDSON in the tank of Table 1."""
@@ -94,8 +109,10 @@ def split_key(run_seed: int, split: str) -> Array:
         A JAX key, for `make_pairs`.
 
     Raises:
-        SonarjaxError: The split is unknown.
+        SonarjaxError: The split is unknown, or the seed no whole number.
     """
+    if not is_whole(run_seed):
+        raise SonarjaxError(f"run_seed: expected a whole number, got {shown(run_seed)}")
     if split not in SPLITS:
         raise SonarjaxError(f"pairs: split: expected one of {', '.join(SPLITS)}, got {split!r}")
     return fold_in(jax.random.key(run_seed), SPLITS[split])
@@ -117,10 +134,13 @@ def make_pairs(
         Images and labels (count, 128, 128).
 
     Raises:
-        SonarjaxError: `count` is below 1 or `first` below 0.
+        SonarjaxError: `count` is no whole number of 1 or more, `first` none of 0 or more, `key` no JAX key, or
+            `settings` something else.
     """
-    if count < 1 or first < 0:
-        raise SonarjaxError(f"pairs: expected count of 1 or more and first of 0 or more, got {count} and {first}")
+    check_whole(count, 1, "count")
+    check_whole(first, 0, "first")
+    check_kind(settings, PairSettings, "settings")
+    key_numbers(key)
     size = CHUNK if jax.default_backend() == "cpu" else VMAPPED
     starts = list(range(first, first + count, size))
 

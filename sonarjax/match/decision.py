@@ -1,6 +1,7 @@
 """Eq. 5: from the score curve over yaw to a decision, and to the hypotheses that a symmetric object leaves open.
 
-Takes scores (yaw,) and yaws (yaw,) [rad], and returns frozen records. Everything runs under jit and vmap.
+Takes scores (yaw,) and yaws (yaw,) [rad], and returns frozen records. `decide` and `peaks` run
+under jit and vmap, `between_bins` on the host.
 """
 
 from __future__ import annotations

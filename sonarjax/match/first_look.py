@@ -80,7 +80,7 @@ class _Drawn(NamedTuple):
     slant: float
 
 
-class _Shelf(NamedTuple):
+class _DistanceBank(NamedTuple):
     """All targets at one distance, in arrays of the same size for all distances, so that they share compiled code."""
 
     planes: Array  # spectra of the components
@@ -117,7 +117,8 @@ class FirstLook:
         step = self.config.range_step * every / (2 * float(self.sonar.range_bin) * self.config.decimation)
         self._reach = math.ceil(step) + SLACK_ROWS
         self._distances = [float(d) for d in first.distances[::every]]
-        self._shelves: list[_Shelf] | None = None
+        self._banks: list[_DistanceBank] = []
+        """One for each distance at which any target is in view; empty until they are rendered."""
         self._residual = 0.0
 
     @property
@@ -131,28 +132,25 @@ class FirstLook:
         self.prepare()
         return self._residual
 
-    def prepare(self, progress: Callable[[int, int], None] = lambda done, of: None) -> list[_Shelf]:
+    def prepare(self, progress: Callable[[int, int], None] = lambda done, of: None) -> None:
         """Render all banks unless this is already done.
 
         Args:
             progress: Called with the number of distances that are done, and the number of all distances.
 
-        Returns:
-            The banks, one for each distance at which any target is in view.
-
         Raises:
             SonarjaxError: No target is in view at any distance.
         """
-        if self._shelves is None:
-            drawn = []
-            for k, distance in enumerate(self._distances):
-                drawn.append(self._draw(distance))
-                progress(k + 1, len(self._distances))
-            seen = [one for one in drawn if one is not None]
-            if not seen:
-                raise SonarjaxError(NOT_SEEN.format("targets"))
-            self._shelves = self._shelved(seen)
-        return self._shelves
+        if self._banks:
+            return
+        drawn = []
+        for k, distance in enumerate(self._distances):
+            drawn.append(self._draw(distance))
+            progress(k + 1, len(self._distances))
+        seen = [one for one in drawn if one is not None]
+        if not seen:
+            raise SonarjaxError(NOT_SEEN.format("targets"))
+        self._banks = self._padded(seen)
 
     def best(self, image: np.ndarray, mask: np.ndarray | None = None) -> dict[str, Sighting]:
         """Find where each target matches a frame or semantic map best.
@@ -165,38 +163,38 @@ class FirstLook:
             Sightings by target name, without targets that are in view at no distance.
         """
         small = decimated(image if mask is None else np.where(mask, image, 0.5), self.config.decimation)
-        shelves = self.prepare()
-        found = self.engine.map(lambda shelf: self._match(small, shelf), shelves)
+        self.prepare()
+        found = self.engine.map(lambda bank: self._match(small, bank), self._banks)
         sightings: dict[str, Sighting] = {}
-        for shelf, (scores, rows) in zip(shelves, found, strict=True):
+        for bank, (scores, rows) in zip(self._banks, found, strict=True):
             # The dictionary keeps the last template of each target, which is its best one in ascending order.
             order = np.argsort(scores)
-            for owner, k in dict(zip(shelf.owner[order].tolist(), order.tolist(), strict=True)).items():
+            for owner, k in dict(zip(bank.owner[order].tolist(), order.tolist(), strict=True)).items():
                 search, score = self.searches[owner], float(scores[k])
                 if search.name not in sightings or score > sightings[search.name].score:
-                    sightings[search.name] = Sighting(search, self._index(shelf, int(rows[k])), score)
+                    sightings[search.name] = Sighting(search, self._index(bank, int(rows[k])), score)
         return sightings
 
-    def _index(self, shelf: _Shelf, row: int) -> int:
+    def _index(self, bank: _DistanceBank, row: int) -> int:
         """Index of the distance that belongs to a match at `row` of the searched rows."""
         moved = (row - self._reach) * self.config.decimation * float(self.sonar.range_bin)
-        ground = math.sqrt(max((shelf.slant + moved) ** 2 - float(self.sonar.height) ** 2, 0.0))
+        ground = math.sqrt(max((bank.slant + moved) ** 2 - float(self.sonar.height) ** 2, 0.0))
         return int(np.argmin(np.abs(self.searches[0].distances - ground)))
 
-    def _match(self, small: np.ndarray, shelf: _Shelf) -> tuple[np.ndarray, np.ndarray]:
+    def _match(self, small: np.ndarray, bank: _DistanceBank) -> tuple[np.ndarray, np.ndarray]:
         """Best score and row of each template, searched near the distance where it was rendered, at all bearings."""
-        (height, width), reach = shelf.box, self._reach
+        (height, width), reach = bank.box, self._reach
         canvas = np.full(self._canvas, 0.5, np.float32)
-        top, beside = shelf.row - reach, width // 2
+        top, beside = bank.row - reach, width // 2
         first, last = max(top, 0), min(top + height + 2 * reach, len(small))
         canvas[first - top : last - top, beside : beside + small.shape[1]] = small[first:last]
         seen = canvas[: height + 2 * reach, : small.shape[1] + 2 * beside]
         centred = centred_on_host(seen)
-        scale = window_scale(centred, shelf.box)[: 2 * reach + 1, : small.shape[1] + 1]
+        scale = window_scale(centred, bank.box)[: 2 * reach + 1, : small.shape[1] + 1]
         canvas = np.zeros(self._canvas, np.float32)
         canvas[: seen.shape[0], : seen.shape[1]] = centred
-        found = jax.device_get(_look(canvas, scale, shelf.planes, shelf.coefficients))
-        return found.scores[: len(shelf.owner)], found.row[: len(shelf.owner)]
+        found = jax.device_get(_look(canvas, scale, bank.planes, bank.coefficients))
+        return found.scores[: len(bank.owner)], found.row[: len(bank.owner)]
 
     def _draw(self, distance: float) -> _Drawn | None:
         """Render all targets at a distance [m] and factor their templates; None if no target is in view there."""
@@ -218,21 +216,21 @@ class FirstLook:
         slant = math.hypot(distance, float(self.sonar.height))
         return _Drawn(factors(templates, self.config.rank), owner, top, slant)
 
-    def _shelved(self, drawn: list[_Drawn]) -> list[_Shelf]:
+    def _padded(self, drawn: list[_Drawn]) -> list[_DistanceBank]:
         """Pad the arrays of all distances to one size with components and coefficients of zero."""
         height, width = (max(one.found.components.shape[k] for one in drawn) for k in (1, 2))
         count, rank = (max(one.found.coefficients.shape[k] for one in drawn) for k in (0, 1))
         self._canvas = height + 2 * self._reach, self.sonar.n_beams + 2 * (width // 2)
         self._residual = max(float(one.found.residual.max()) for one in drawn)
-        shelves = []
+        banks = []
         for one in drawn:
             components, coefficients = np.zeros((rank, height, width), np.float32), np.zeros((count, rank), np.float32)
             kept, h, w = one.found.components.shape
             components[:kept, :h, :w] = one.found.components
             coefficients[: len(one.owner), :kept] = one.found.coefficients
             planes = _planes(components, self._canvas)
-            shelves.append(_Shelf(planes, jnp.asarray(coefficients), (h, w), one.owner, one.row, one.slant))
-        return shelves
+            banks.append(_DistanceBank(planes, jnp.asarray(coefficients), (h, w), one.owner, one.row, one.slant))
+        return banks
 
     def _view(self, search: TargetSearch, distance: float) -> tuple[CompactBank, int, int] | None:
         """A target's coarse templates at a distance [m], with the coarse row and the column of their first pixel.

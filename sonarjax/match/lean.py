@@ -17,8 +17,8 @@ from jaxtyping import Float
 
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.given import check_whole, is_number, several, shown
-from sonarjax.match.ncc import PreparedBank, match_positions, prepare_bank
-from sonarjax.match.search import MIN_VALID, Match, TargetSearch, decimated, mid_fan, rounded_up
+from sonarjax.match.ncc import PreparedBank, match_positions
+from sonarjax.match.search import SEARCH_MIN_VALID, Match, TargetSearch, coarse_bank, coarse_frame, mid_fan
 from sonarjax.render import TemplateBank, WindowSize, template_bank
 from sonarjax.scene import Mesh, Pose
 
@@ -42,16 +42,17 @@ class LeanSearchConfig:
     """Least rotation between two of them [rad]."""
 
     def __post_init__(self) -> None:
-        """Raise a SonarjaxError for counts below 1, no lift, or angles that are not positive."""
+        """Raise a SonarjaxError for counts below 1, no lift, or angles that are out of bounds."""
         check_whole(self.yaw_bins, 1, "yaw_bins")
         check_whole(self.candidates, 1, "candidates")
         lifts = several(self.lifts)
         if not lifts or not all(is_number(lift) and math.isfinite(lift) for lift in lifts):
             raise SonarjaxError(f"lifts: expected at least one finite number [m], got {shown(self.lifts)}")
         object.__setattr__(self, "lifts", tuple(float(lift) for lift in lifts))
-        angles = self.lean, self.apart
-        if not (all(is_number(angle) for angle in angles) and 0 < self.lean < math.pi / 2 and 0 < self.apart < math.pi):
-            raise SonarjaxError(f"LeanSearchConfig: expected positive angles for lean and apart, got {self}")
+        for name, most, text in (("lean", math.pi / 2, "π/2"), ("apart", math.pi, "π")):
+            angle = getattr(self, name)
+            if not (is_number(angle) and 0 < angle < most):
+                raise SonarjaxError(f"{name}: expected an angle above 0 and below {text} [rad], got {shown(angle)}")
 
 
 class LeanMatch(NamedTuple):
@@ -105,10 +106,8 @@ class LeanSearch:
         place = search.place(search.find(np.asarray(image, np.float32), mask))
         index = int(np.argmin(np.abs(search.distances - math.hypot(*place))))
         entry = self._bank(index, mask is not None)
-        small = None if mask is None else decimated(mask.astype(np.float32), step) == 1
-        found = match_positions(
-            decimated(image, step), entry.prepared, small, min_valid=MIN_VALID, penalise_unmeasured=True
-        )
+        small, seen = coarse_frame(np.asarray(image, np.float32), mask, step)
+        found = match_positions(small, entry.prepared, seen, min_valid=SEARCH_MIN_VALID, penalise_unmeasured=True)
         scores, rows, columns = jax.device_get((found.scores, found.row, found.col))
         top, left = (int(v) for v in np.asarray(entry.bank.offset))
         turns = np.stack([_rotation(*attitude) for attitude in self.attitudes[:, [0, 2, 3]]])
@@ -132,9 +131,7 @@ class LeanSearch:
                 search.mesh, search.sonar, yaws, x=x, y=y, z=z, roll=roll, pitch=pitch,
                 size=self._window(), quality=search.config.quality, engine=search.engine,
             )  # fmt: skip
-            frame = search.sonar.n_ranges // step, search.sonar.n_beams
-            templates = rounded_up(decimated(np.asarray(bank.templates), step), frame)
-            self._banks[index, masked] = _Bank(bank, prepare_bank(templates, frame, masked=masked))
+            self._banks[index, masked] = _Bank(bank, coarse_bank(bank.templates, search.sonar, step, masked))
         return self._banks[index, masked]
 
     def _window(self) -> WindowSize:

@@ -25,7 +25,7 @@ LOST_TEMPLATE = 1e-4
 MIN_VALID = 0.3
 """Least share of a template's pixels that must be measured under it; otherwise it scores 0."""
 
-MIN_ECHO = 0.5
+MIN_HIGHLIGHT = 0.5
 """Least share of a template's highlight that must be measured, if the option `penalise_unmeasured` is used."""
 
 
@@ -63,13 +63,13 @@ def masked_maps(
     frame: MaskedFrame,
     planes: Complex[Array, "pair range beam"],
     squares: Complex[Array, "pair range beam"],
-    echoes: Complex[Array, "pair range beam"],
+    highlights: Complex[Array, "pair range beam"],
     penalise_unmeasured: bool = False,
 ) -> Float[Array, "pair two row col"]:
-    """Masked eq. 4 at all window positions, for pairs of unit templates (`planes`), their squares and their `echoes`.
+    """Masked eq. 4 at all window positions, for pairs of unit templates (`planes`), their squares and `highlights`.
 
     With `penalise_unmeasured`, a template's norm is taken over all of it, so that the part over unmeasured pixels
-    counts as unmatched. A template then also scores 0 unless the share MIN_ECHO of its highlight was measured: its
+    counts as unmatched. A template then also scores 0 unless the share MIN_HIGHLIGHT of its highlight was measured: its
     shadow alone is no match, because it would fit any dark corner at the edge of the measured pixels.
     """
     shape = (frame.mean.shape[0], frame.mean.shape[1])
@@ -78,7 +78,7 @@ def masked_maps(
     product = correlate(frame.signal, planes, shape) - frame.mean * total
     if not penalise_unmeasured:
         return product * frame.scale * inverse_root(energy, LOST_TEMPLATE)
-    seen = (energy > LOST_TEMPLATE) & (correlate(frame.valid, echoes, shape) >= MIN_ECHO)
+    seen = (energy > LOST_TEMPLATE) & (correlate(frame.valid, highlights, shape) >= MIN_HIGHLIGHT)
     return product * frame.scale * seen
 
 

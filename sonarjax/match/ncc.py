@@ -227,7 +227,7 @@ def _match_masked(
     def chunk(planes: tuple[Array, Array, Array]) -> Any:
         return reduce(masked_maps(frame, *planes, penalise_unmeasured))
 
-    return per_template(over_chunks(chunk, (spectra.planes, spectra.squares, spectra.echoes)), spectra.yaw_count)
+    return per_template(over_chunks(chunk, (spectra.planes, spectra.squares, spectra.highlights)), spectra.yaw_count)
 
 
 @partial(jax.jit, static_argnums=5)

@@ -37,8 +37,12 @@ from sonarjax.sonar.check import check_sonar
 
 Picture = Literal["map", "frame"]
 """What is searched: a semantic map, with semantic templates, or a sonar's frame, with echo templates."""
-MIN_VALID = 0.5
-"""Least share of a template's pixels that were measured, where part of the frame is masked."""
+SEARCH_MIN_VALID = 0.5
+"""Least share of a template's pixels that were measured, where part of the frame is masked. It is more than that of
+`match_bank`, because a search looks everywhere and would find a template of which little was measured.
+"""
+WIDTH_STEP = 32
+"""Coarse templates are rounded up to multiples of this many coarse rows and beams."""
 NOT_SEEN = "{}: at no distance inside the sonar's view is any part of it visible"
 """Error message; the target's name goes in."""
 KEPT_COMPACT = 4
@@ -187,7 +191,7 @@ class TargetSearch:
             SonarjaxError: No part of the target can be seen at any distance.
         """
         every, masked = self.config.coarse_every, mask is not None
-        small = decimated(image, self.config.decimation), self._small_mask(mask)
+        small = coarse_frame(image, mask, self.config.decimation)
         indices = [k for k in range(0, len(self.distances), every) if self._bank(k, True, masked, picture) is not None]
         if not indices:
             raise SonarjaxError(NOT_SEEN.format(self.name))
@@ -292,9 +296,7 @@ class TargetSearch:
             return _Entry(replace(bank, templates=bank.templates[:, :0, :0]), CompactBank.of(np.asarray(drawn)))
         if not coarse:
             return _Entry(bank, prepare_bank(drawn, self.sonar.shape, masked=masked))
-        frame = self.sonar.n_ranges // config.decimation, self.sonar.n_beams
-        templates = rounded_up(decimated(np.asarray(drawn), config.decimation), frame)
-        return _Entry(bank, prepare_bank(templates, frame, masked=masked))
+        return _Entry(bank, coarse_bank(drawn, self.sonar, config.decimation, masked))
 
     def _render(self, index: int, coarse: bool) -> TemplateBank:
         """The bank at distance `index`, rendered once but for catalogues. Raises OutOfViewError."""
@@ -318,15 +320,12 @@ class TargetSearch:
         if isinstance(entry.prepared, CompactBank) and mask is None:
             found = match_compact(image, entry.prepared)
         else:
-            found = match_positions(image, entry.prepared, mask, min_valid=MIN_VALID, penalise_unmeasured=True)
+            found = match_positions(image, entry.prepared, mask, min_valid=SEARCH_MIN_VALID, penalise_unmeasured=True)
         scores, row, column = jax.device_get((found.scores, found.row, found.col))
         best = int(scores.argmax())
         top, left = (int(v) for v in np.asarray(entry.bank.offset))
         scale = self.config.decimation if coarse else 1
         return Match(entry.bank, scores, scale * int(row[best]) - top, int(column[best]) - left, entry.prepared)
-
-    def _small_mask(self, mask: np.ndarray | None) -> np.ndarray | None:
-        return None if mask is None else decimated(mask.astype(np.float32), self.config.decimation) == 1
 
 
 def mid_fan(sonar: Sonar, distance: float) -> tuple[float, float]:
@@ -337,10 +336,37 @@ def mid_fan(sonar: Sonar, distance: float) -> tuple[float, float]:
 
 
 def decimated(image: np.ndarray, step: int) -> np.ndarray:
-    """Means of `step` neighbouring range bins (..., range / step, beam)."""
+    """Means of `step` neighbouring range bins (..., range / step, beam); bins that are left over are dropped."""
     rows = image.shape[-2] // step
     groups = image[..., : rows * step, :].reshape(*image.shape[:-2], rows, step, image.shape[-1])
     return groups.mean(axis=-2)
+
+
+def coarse_frame(image: np.ndarray, mask: np.ndarray | None, step: int) -> tuple[np.ndarray, np.ndarray | None]:
+    """A frame (range, beam) for `coarse_bank`: `step` range bins are one, and there is more background to port.
+
+    The mask, if there is one, is true where at least half of the bins were measured.
+    """
+    room = ((0, 0), (0, WIDTH_STEP))
+    if mask is None:
+        small = decimated(image, step)
+        floor = np.median(small, axis=1, keepdims=True)
+        return np.concatenate([small, np.broadcast_to(floor, (len(small), WIDTH_STEP))], axis=1), None
+    share = decimated(mask.astype(np.float32), step)
+    small = decimated(np.where(mask, image, np.float32(0)), step) / np.maximum(share, np.float32(1e-6))
+    seen = share >= 0.5
+    floor = np.ma.filled(np.ma.median(np.ma.array(small, mask=~seen), axis=1), 0.5)
+    wide = np.where(np.pad(seen, room), np.pad(small, room), floor[:, None])
+    return wide.astype(np.float32), np.pad(seen, room, constant_values=True)
+
+
+def coarse_bank(templates: Any, sonar: Sonar, step: int, masked: bool) -> PreparedBank:
+    """Templates (yaw, h, w) ready to be matched with a `coarse_frame` of the sonar."""
+    rows = np.asarray(templates)
+    rows = np.pad(rows, ((0, 0), (0, -rows.shape[1] % step), (0, 0)), constant_values=0.5)
+    frame = sonar.n_ranges // step, sonar.n_beams + WIDTH_STEP
+    small = decimated(rows, step)[:, : frame[0]]
+    return prepare_bank(rounded_up(small, frame), frame, masked=masked)
 
 
 _floor_point = jax.jit(floor_point)
@@ -355,9 +381,12 @@ def _bank_window(mesh: Mesh, sonar: Sonar, nearest: float) -> WindowSize:
 
 
 def rounded_up(templates: np.ndarray, frame: tuple[int, int]) -> np.ndarray:
-    """Coarse templates (yaw, h, w) with background added behind and to port: few shapes, so few to be compiled."""
+    """Coarse templates (yaw, h, w) with background added past the object and to port: few shapes, so few to be
+    compiled.
+    """
     sizes = zip(templates.shape[1:], frame, strict=True)
-    return np.pad(templates, ((0, 0), *((0, min(-n % 32, most - n)) for n, most in sizes)), constant_values=0.5)
+    room = ((0, min(-n % WIDTH_STEP, most - n)) for n, most in sizes)
+    return np.pad(templates, ((0, 0), *room), constant_values=0.5)
 
 
 def _ground_ranges(sonar: Sonar, step: float) -> np.ndarray:

@@ -36,7 +36,7 @@ class TemplateSpectra:
     """Conjugate spectra of templates 2p, plus i times those of 2p + 1, zero-padded to the size of the transform."""
     squares: Complex[Array, "*batch chunk pair range beam"] | None
     """The same for the squared templates, needed to match with a mask; None if that was not asked for."""
-    echoes: Complex[Array, "*batch chunk pair range beam"] | None
+    highlights: Complex[Array, "*batch chunk pair range beam"] | None
     """The same for their highlight alone, scaled to sum 1; None if `squares` is."""
     yaw_count: int = static()
     """Number of templates; the planes may hold a few empty ones in addition."""
@@ -72,9 +72,9 @@ def template_spectra(
     unit = unit_templates(templates)
     planes = pack(unit, image_shape)
     squares = pack(jnp.square(unit), image_shape) if masked else None
-    echoes = pack(_echo_shares(templates), image_shape) if masked else None
+    highlights = pack(_highlight_shares(templates), image_shape) if masked else None
     sizes = (templates.shape[1], templates.shape[2]), (image_shape[0], image_shape[1])
-    return TemplateSpectra(planes, squares, echoes, templates.shape[0], *sizes)
+    return TemplateSpectra(planes, squares, highlights, templates.shape[0], *sizes)
 
 
 def centred_frame(
@@ -91,7 +91,7 @@ def centred_frame(
     return jnp.where(measured & (spread > ROUNDING * jnp.abs(mean)), image - mean, 0.0)
 
 
-def _echo_shares(templates: Float[Array, "yaw h w"]) -> Float[Array, "yaw h w"]:
+def _highlight_shares(templates: Float[Array, "yaw h w"]) -> Float[Array, "yaw h w"]:
     """Each pixel's share of its template's highlight, the grey above the background's; equal if there is none."""
     bright = jnp.maximum(templates - BACKGROUND, 0.0)
     total = jnp.sum(bright, axis=(1, 2), keepdims=True)

@@ -20,7 +20,8 @@ SLACK_M = 0.06
 class RefineConfig:
     """How `refine_pose` and `refine_yaw` search.
 
-    Only `quality`, the number of blurs, and whether `polish` is 0 mean other compiled code.
+    Only `quality`, the number of blurs, whether `polish` is 0, and the size of the window mean other compiled code. A
+    planned window depends on the bounds.
     """
 
     bounds: tuple[float, float, float] = (math.radians(40.0), 0.15, 0.15)

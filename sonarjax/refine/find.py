@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sonarjax.engine import PLAIN, Engine
+from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.given import check_kind
 from sonarjax.match import LeanSearch, LeanSearchConfig, SearchConfig, TargetSearch
 from sonarjax.match.lean import distinct_turns
@@ -25,6 +26,7 @@ from sonarjax.refine.pose import PoseEstimate, plan_refinement, refine_pose
 from sonarjax.refine.views import check_views, in_common
 from sonarjax.render import WindowSize
 from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS
+from sonarjax.render.room import with_lean_room
 from sonarjax.scene import Mesh, Pose
 from sonarjax.segment import DEFAULT_SEGMENTER, Segmenter, load_segmenter
 from sonarjax.sonar import Sonar, checked_image
@@ -44,6 +46,8 @@ PERTURBED = 2
 """Number of hypotheses that are refined again from changed poses."""
 SAME, APART = math.radians(2.0), math.radians(20.0)
 """Poses within the first rotation are the same; poses beyond the second are different hypotheses [rad]."""
+MOST_LEANS = 64
+"""About how many of the leaning poses are asked how many triangles a slice meets there."""
 KEPT_OF_EACH = 3
 """Number of hypotheses of each view from which the joint refinement of several views starts."""
 
@@ -91,10 +95,14 @@ class PoseFinder:
         self.free, self.refine, self.engine = check_free(free), refine, engine
         self.error_bar = error_bar
         self.sonar = sonar.replace(geometry_std=None)
-        self.mesh = mesh
         self.segmenter = segmenter if isinstance(segmenter, Segmenter) else load_segmenter(segmenter)
         self.lean = LeanSearch(TargetSearch(mesh, self.sonar, search, engine=engine), self.free, lean)
         nearest = Pose(x=float(self.lean.search.distances[0]), z=max(lean.lifts), roll=lean.lean, pitch=lean.lean)
+        # Refinement starts at these poses: with room for all of them at once, it is compiled only once.
+        leans = self.lean.attitudes[:: max(len(self.lean.attitudes) // MOST_LEANS, 1)]
+        middle = float(np.median(self.lean.search.distances))
+        leaning = Pose(middle, 0.0, leans[:, 0], leans[:, 1], leans[:, 2], leans[:, 3])
+        self.mesh = with_lean_room(mesh, leaning, self.sonar)
         self.window: WindowSize = plan_refinement(mesh, self.sonar, nearest, refine, self.free)
 
     def __call__(self, image: Any, mask: Any = None) -> PoseEstimate:
@@ -183,10 +191,12 @@ class PoseFinder:
             The poses (hypothesis,) in the common frame, best first.
 
         Raises:
-            SonarjaxError: As `refine_pose`.
+            SonarjaxError: As `refine_pose`, or `alone` does not have one estimate for each view.
         """
         sonars = check_views(images, sonar_poses, Pose(), self.sonar)
-        alone = alone or [self(image) for image in np.asarray(images, np.float32)]
+        alone = [self(image) for image in np.asarray(images, np.float32)] if alone is None else list(alone)
+        if len(alone) != len(sonars):
+            raise SonarjaxError(f"alone: expected one estimate for each of {len(sonars)} views, got {len(alone)}")
         best = [_picked(found.pose, distinct(found, APART, KEPT_OF_EACH)) for found in alone]
         starts = [in_common(pose, sonar) for pose, sonar in zip(best, sonars, strict=True)]
         start = jax.tree.map(lambda *v: np.concatenate(v), *starts)

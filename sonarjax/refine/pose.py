@@ -28,6 +28,7 @@ from sonarjax.refine.uncertainty import Observability, error_covariance, normal_
 from sonarjax.refine.views import Job, check_views, in_view, refine_jointly
 from sonarjax.render import RenderQuality, WindowSize, place_window, plan_window
 from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS, leaning_room
+from sonarjax.render.room import with_lean_room
 from sonarjax.render.simulate import one_by_one
 from sonarjax.scene import Mesh, Pose
 from sonarjax.scene.limits import check_pose
@@ -106,7 +107,8 @@ def refine_pose(
         mask: True where a pixel was measured, in the image's shape; None means everywhere.
         config: How to search.
         window: Size of the window to render. By default it is planned if nothing is traced; a traced call renders the
-            complete frame, so plan it beforehand with `plan_refinement`.
+            complete frame, so plan it beforehand with `plan_refinement`. In a traced call of an object that leans,
+            the mesh must have room for all triangles that a slice meets (`Mesh.with_room`).
         sonar_poses: Makes the frames views of one object at rest: x, y [m] and yaw [rad] of each sonar (view,) in a
             common ground frame. `start`, a single pose or an axis of hypotheses, and the estimate are in that frame.
             The views are refined jointly on the host: nothing may be traced, and nothing is `determined`.
@@ -144,7 +146,8 @@ def _refine_views(
     places = [in_view(starts, one) for one in sonars]
     around = jax.tree.map(lambda *v: np.concatenate(v), *places)
     size = _window_within(sonar, window) or plan_refinement(mesh, sonar, around, config, free)
-    job = Job(images, weights, mesh, sonar, sonars, free, config, size, engine)
+    roomy = with_lean_room(mesh, around, sonar)
+    job = Job(images, weights, roomy, sonar, sonars, free, config, size, engine)
     found = [refine_jointly(job, Pose(**{n: v[k] for n, v in vars(starts).items()})) for k in range(len(starts.x))]
 
     def stacked(values: Sequence[Any]) -> Any:
@@ -183,6 +186,7 @@ def search_pose(
     if len(axes) not in (frames, frames + 1) or axes[:frames] != image.shape[:frames]:
         raise SonarjaxError(f"start: expected one pose (or one axis of poses) for each image, got shape {axes}")
     size = _window_within(sonar, window) or plan_refinement(mesh, sonar, start, config, free)
+    mesh = mesh if traced else with_lean_room(mesh, start, sonar)
     # Flatten frames and starts to one list.
     starts = jax.tree.map(lambda v: array.asarray(v).reshape(-1), start)
     count = math.prod(axes)

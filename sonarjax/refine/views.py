@@ -216,9 +216,9 @@ def _search(job: Job, start: Pose, held: np.ndarray) -> tuple[Joint, tuple[np.nd
             if settled:
                 break
     prior = jnp.asarray(prior_std(jnp.asarray(_box(bounds, low, high, energies))), jnp.float32)
-    known, fast = jnp.isfinite(here.cost), jnp.asarray(np.concatenate([held, np.zeros(energies, bool)]))
+    known, all_held = jnp.isfinite(here.cost), jnp.asarray(np.concatenate([held, np.zeros(energies, bool)]))
     told = observability(here.normal, prior, known, count)
-    covariance = np.asarray(error_covariance(here.normal, prior, fast, known))[:count, :count]
+    covariance = np.asarray(error_covariance(here.normal, prior, all_held, known))[:count, :count]
     inside = np.abs(point[:count]) < INSIDE * bounds
     found = Joint(
         _moved(start, job.free, point), covariance, here.score, float(begun or 0.0),

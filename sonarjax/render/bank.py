@@ -113,6 +113,8 @@ def template_bank(
         OutOfViewError: The object is outside the sonar's view.
     """
     _check_given(mesh, sonar, quality, margin, {"x": x, "y": y})
+    if size is not None:
+        check_kind(size, WindowSize, "size")
     check_reflectivity(mesh, "mesh")
     yaws = np.atleast_1d(number_array(yaws, "yaws")).astype(np.float32)
     if yaws.ndim != 1 or yaws.size == 0 or not np.isfinite(yaws).all():

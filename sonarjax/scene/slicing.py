@@ -27,7 +27,7 @@ def most_crossings(
     because pitch and roll bring other triangles into the slice. The 15 % allow for the directions in between.
     """
     worst = 0
-    overlap = _deepest_overlap if len(faces) <= FINE else _deepest_overlap_by_bins
+    overlap = deepest_overlap if len(faces) <= FINE else _overlap_by_bins
     views //= 1 + (len(faces) > FINE) + 2 * (len(faces) > VERY_FINE)
     points = vertices.astype(np.float64)
     normals = _normals(points, faces)
@@ -53,7 +53,7 @@ def _normals(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return np.cross(b - a, c - a)
 
 
-def _deepest_overlap(starts: np.ndarray, ends: np.ndarray) -> int:
+def deepest_overlap(starts: np.ndarray, ends: np.ndarray) -> int:
     """Largest number of open intervals (start, end) that share a point."""
     starts, ends = np.sort(starts), np.sort(ends)
     # At a shared corner, one interval ends before the next one starts.
@@ -61,8 +61,8 @@ def _deepest_overlap(starts: np.ndarray, ends: np.ndarray) -> int:
     return int(open_there.max(initial=0))
 
 
-def _deepest_overlap_by_bins(starts: np.ndarray, ends: np.ndarray) -> int:
-    """As `_deepest_overlap`, counted in bins without a sort: never too few, and at most a few per cent too many."""
+def _overlap_by_bins(starts: np.ndarray, ends: np.ndarray) -> int:
+    """As `deepest_overlap`, counted in bins without a sort: never too few, and at most a few per cent too many."""
     if len(starts) == 0:
         return 0
     low, high = starts.min(), ends.max()

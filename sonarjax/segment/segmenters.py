@@ -16,7 +16,7 @@ from sonarjax.io.safetensors import read_safetensors
 from sonarjax.segment.classical import CLASSICAL, THRESHOLDS, from_grey, threshold_labels, to_grey
 from sonarjax.segment.rule import RULES, IdentificationRule, read_rule
 from sonarjax.segment.tiled import TILE, check_frame, segment
-from sonarjax.segment.weights import GeneratorWeights, load_generator, shipped_path
+from sonarjax.segment.weights import GeneratorWeights, generator_of, shipped_path
 
 NETWORK = "pix2pix"
 SEGMENTERS = (NETWORK, *CLASSICAL)
@@ -114,7 +114,7 @@ def load_segmenter(name: str | os.PathLike[str] = DEFAULT_SEGMENTER) -> Segmente
     if text in CLASSICAL:
         return Segmenter(text, THRESHOLDS[text], rule=RULES.get(text))
     path = shipped_path() if text == NETWORK else text
-    _, about = read_safetensors(path)
+    arrays, about = read_safetensors(path)
     threshold, tile = about.get("threshold"), about.get("tile", TILE)
     sizes = tile if isinstance(tile, list | tuple) and len(tile) == 2 else ()
     usable = bool(sizes) and all(is_number(v) and 1 <= v < math.inf for v in sizes)
@@ -123,7 +123,7 @@ def load_segmenter(name: str | os.PathLike[str] = DEFAULT_SEGMENTER) -> Segmente
             f"{os.fspath(path)}: metadata: expected a number `threshold` and two numbers `tile` of 1 or more"
         )
     rule = read_rule(about.get("rule"), os.fspath(path))
-    weights = load_generator(None if text == NETWORK else path)
+    weights = generator_of(arrays, os.fspath(path), check=text != NETWORK)
     return Segmenter(text, threshold, weights, (int(tile[0]), int(tile[1])), rule)
 
 

@@ -76,14 +76,18 @@ def load_generator(path: str | os.PathLike[str] | None = None) -> GeneratorWeigh
     Raises:
         SonarjaxError: The file is missing or damaged, or its arrays are not those of a generator.
     """
-    shipped = path is None
-    path = shipped_path() if path is None else path
-    arrays, _ = read_safetensors(path)
-    name = os.fspath(path)
+    arrays, _ = read_safetensors(shipped_path() if path is None else path)
+    return generator_of(arrays, "" if path is None else os.fspath(path), check=path is not None)
+
+
+def generator_of(arrays: Mapping[str, np.ndarray], name: str, *, check: bool) -> GeneratorWeights:
+    """The generator, in float32, whose arrays a weights file of this name holds.
+
+    Raises SonarjaxError where they are not those of a generator; `check` looks at all of them.
+    """
     module = _module_of(arrays, name)
-    if shipped:
-        return GeneratorWeights(_nested(arrays), module)
-    _check_arrays(arrays, module, name)
+    if check:
+        _check_arrays(arrays, module, name)
     return GeneratorWeights(_nested(arrays), module)
 
 

@@ -18,6 +18,7 @@ from sonarjax.calibrate.inputs import check_frames, check_kinds, starts_of
 from sonarjax.calibrate.parameters import SIZES, changed_mesh, prior_std
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.refine.free import in_order
+from sonarjax.render.room import with_lean_room
 from sonarjax.scene import Mesh, Pose
 from sonarjax.sonar import Sonar
 
@@ -102,7 +103,8 @@ def fit_size(
     images, measured = check_frames(frames, masks, sonar)
     starts = starts_of(poses, len(images), sonar)
     prepared = [Prepared(image, mask, image) for image, mask in zip(images, measured, strict=True)]
-    job = Job(prepared, mesh, sonar.replace(geometry_std=None), names, std, engine, progress)
+    roomy = with_lean_room(mesh, poses, sonar)
+    job = Job(prepared, roomy, sonar.replace(geometry_std=None), names, std, engine, progress)
     fit, known = fit_frames(job, prepared, starts, with_nominal_look(np.zeros(len(names))), (FINE,))
     change = fit.point.shared[: len(names)]
     fitted = mesh.with_vertices(changed_mesh(mesh, names, jnp.asarray(change, jnp.float32)).vertices)

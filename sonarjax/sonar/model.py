@@ -74,8 +74,9 @@ class Sonar:
 
         Args:
             name: A name in `sonarjax.sonar.PRESETS`.
-            **overrides: Values for fields of `Sonar`, in the units of the fields (lengths [m], angles [rad]). A single
-                beam without a `beam_width` is as wide as the device's field of view.
+            **overrides: Values for fields of `Sonar`, in the units of the fields (lengths [m], angles [rad], but
+                `highlight_max_incidence` [deg]). A single beam without a `beam_width` is as wide as the device's field
+                of view.
 
         Returns:
             The sonar.
@@ -120,7 +121,8 @@ class Sonar:
         """Return a copy with some fields replaced.
 
         Args:
-            **changes: New values, in the units of the fields (lengths [m], angles [rad]); they are not checked.
+            **changes: New values, in the units of the fields (lengths [m], angles [rad], but
+                `highlight_max_incidence` [deg]); they are not checked.
 
         Returns:
             The copy.
@@ -187,7 +189,8 @@ def sonar_from_dict(table: Mapping[str, Any], source: str) -> Sonar:
         source: Name of the file in error messages.
 
     Returns:
-        The sonar. Its azimuth is float32 (beam,) [rad]; other fields are Python floats [m, rad].
+        The sonar. Its azimuth is float32 (beam,) [rad]; other fields are Python floats [m, rad], but
+        `highlight_max_incidence` [deg].
 
     Raises:
         SonarjaxError: A key is unknown or missing, a type is wrong, a value is impossible, or the beams do not agree.

@@ -20,7 +20,7 @@ from jaxtyping import Array, Float, Int
 from sonarjax.exact import full_precision
 from sonarjax.records import record
 from sonarjax.track.motion import Motion, TrackConfig, Turning
-from sonarjax.track.reduce import Mixture, reduced, wrapped
+from sonarjax.track.reduce import Mixture, reduced, signed
 
 STATES = 7
 """Number of states of a Gaussian: yaw [rad], x, y [m], rate [rad/frame], and the shared errors of yaw, x, y."""
@@ -225,7 +225,7 @@ def predicted(
 
     def one(mean: Array, covariance: Array) -> tuple[Array, Array, Array, Array]:
         old, new = (jnp.arctan2(mean[Y] - s[1], mean[X] - s[0]) for s in (belief.sonar, sonar))
-        changed = mean[RATE] * elapsed - wrapped(new - old)
+        changed = mean[RATE] * elapsed - signed(new - old)
         # Uncertainty about the rate adds to the change of aspect.
         aspect = jnp.sqrt(changed**2 + covariance[RATE, RATE] * elapsed**2)
         alike = jnp.exp(-aspect / numbers.aspect)
@@ -265,7 +265,7 @@ def _kalman(mean: Array, covariance: Array, pose: Array, std: Array, sonar: Arra
     """Log-likelihood of a hypothesis, and the mean and covariance that it updates."""
     seen = _observation(sonar)
     gap = to_common(pose, sonar) - seen @ mean
-    gap = gap.at[YAW].set(wrapped(gap[YAW]))
+    gap = gap.at[YAW].set(signed(gap[YAW]))
     noise = jnp.diag(std**2)  # the same for x and y, so rotating it into the common frame changes nothing
     spread = seen @ covariance @ seen.T + noise
     gain = jnp.linalg.solve(spread, seen @ covariance).T

@@ -29,7 +29,7 @@ class Mixture(NamedTuple):
     parent: Int[Array, "component"]
 
 
-def wrapped(angle: Array) -> Array:
+def signed(angle: Array) -> Array:
     """An angle [rad] brought into [-π, π)."""
     return (angle + jnp.pi) % (2 * jnp.pi) - jnp.pi
 
@@ -46,7 +46,7 @@ def reduced(mixture: Mixture, count: int, merge: Array) -> Mixture:
     def one(left: Array, _: None) -> tuple[Array, Mixture]:
         best = jnp.argmax(left)
         apart = mixture.mean - mixture.mean[best]
-        apart = apart.at[:, 0].set(wrapped(apart[:, 0]))
+        apart = apart.at[:, 0].set(signed(apart[:, 0]))
         std = jnp.sqrt(jnp.maximum(jnp.diag(mixture.covariance[best])[:COMPARED], LEAST_STD**2))
         near = (jnp.abs(apart[:, :COMPARED]) <= merge * std).all(axis=1)
         ratio = mixture.covariance[:, 0, 0] / jnp.maximum(mixture.covariance[best, 0, 0], LEAST_STD**2)

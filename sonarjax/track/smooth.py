@@ -17,7 +17,7 @@ from jaxtyping import Array
 
 from sonarjax.exact import full_precision
 from sonarjax.track.belief import RATE, STATES, YAW, Belief, Numbers, predicted
-from sonarjax.track.reduce import wrapped
+from sonarjax.track.reduce import signed
 
 RIDGE = 1e-6
 """Added to the diagonal of a predicted covariance, as a share of it: an object at rest has no spread of rates."""
@@ -78,7 +78,7 @@ def _smoothed(
 ) -> tuple[Array, Array]:  # fmt: skip
     ridge = RIDGE * jnp.diag(jnp.diag(spread)) + LEAST_VARIANCE * jnp.eye(STATES)
     gain = jnp.linalg.solve(spread + ridge, transition @ covariance).T
-    gap = (mean_after - expected).at[YAW].set(wrapped(mean_after[YAW] - expected[YAW]))
+    gap = (mean_after - expected).at[YAW].set(signed(mean_after[YAW] - expected[YAW]))
     return mean + gain @ gap, covariance + gain @ (covariance_after - spread) @ gain.T
 
 

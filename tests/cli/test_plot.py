@@ -3,6 +3,8 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from matplotlib.collections import QuadMesh
+from matplotlib.colors import to_rgba
 from matplotlib.contour import QuadContourSet
 from matplotlib.figure import Figure
 from PIL import Image
@@ -99,7 +101,15 @@ def test_a_frame_is_shown_in_both_views(sonar, tmp_path):
 def test_a_dark_frame_is_shown_too(sonar, tmp_path):
     dark = jnp.zeros(sonar.shape)
     frame = SonarFrame(dark, dark, dark, dark > 0, jnp.zeros((), jnp.int32), sonar)
-    plot.save_figure(plot.plot_frame(frame, sonar), tmp_path / "dark.png", dpi=40)
+    figure = plot.plot_frame(frame, sonar)
+    drawn = [part for axes in figure.axes for part in axes.collections if isinstance(part, QuadMesh)]
+    unlit = [part for part in drawn if np.ma.getmaskarray(part.get_array()).all()]
+    assert len(unlit) == 4  # intensity and map, in both views
+    for part in unlit:
+        colours = part.get_cmap()(part.norm(part.get_array()))
+        np.testing.assert_allclose(np.reshape(colours, (-1, 4)), [to_rgba(plot.UNLIT_COLOR)] * part.get_array().size)
+    plot.save_figure(figure, tmp_path / "dark.png", dpi=40)
+    assert (tmp_path / "dark.png").read_bytes()[:4] == b"\x89PNG"
 
 
 def test_decibel():

@@ -8,6 +8,7 @@ import itertools
 import json
 import math
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -21,7 +22,7 @@ import sonarjax as sj
 from sonarjax.data import FORMATS, FrameSettings, dataset, import_pairs, make_dataset
 from sonarjax.data.formats import box_of, run_lengths
 from sonarjax.data.frames import CHUNK, Drawn
-from sonarjax.data.layout import draw_layout, placement_limits
+from sonarjax.data.layout import Layout, draw_layout, join_layout, placement_limits
 from sonarjax.io import SonarjaxError, read_frames
 from sonarjax.sonar import PRESETS
 
@@ -394,6 +395,18 @@ def test_objects_never_overlap_and_stand_on_lit_floor():
         slant = np.hypot(np.hypot(layouts.pose.x[k], layouts.pose.y[k]), SONAR.height)[: counts[k]]
         assert (slant > limits.near - 1e-3).all() and (slant < limits.far + 1e-3).all()
         assert not layouts.there[k, counts[k] :].any()
+
+
+def test_objects_keep_their_reflectivity():
+    """It is also part of what a data set is made of."""
+    plain = sj.objects.brick()
+    painted = replace(plain, reflectivity=jnp.linspace(0.0, 1.0, plain.n_faces))
+    layout = Layout(jnp.array([1, 0]), sj.Pose(x=[2.0, 2.6], y=[0.0, 0.1]), jnp.array([True, True]))
+    joined, _ = join_layout(sj.stack_meshes([plain, painted]), layout, 1)
+    np.testing.assert_allclose(joined.reflectivity, [*np.asarray(painted.reflectivity), *np.ones(plain.n_faces)])
+    assert join_layout(sj.stack_meshes([plain, plain]), layout, 1)[0].reflectivity is None
+    known = [dataset._digest(dataset._arrays(mesh)) for mesh in (plain, painted)]
+    assert known[0] != known[1]
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.6])

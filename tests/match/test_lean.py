@@ -41,12 +41,34 @@ def test_a_clean_image_is_matched_with_its_attitude(search):
         assert abs(float(getattr(found.poses, name)[0]) - float(getattr(truth, name))) < most, name
 
 
+@pytest.mark.parametrize("y", [-0.3, 0.3])
+@pytest.mark.parametrize("measured", ["everywhere", "most pixels", "every fourth range bin but one"])
+def test_an_object_is_found_to_either_side(search, y, measured):
+    """Coarse templates are padded to port: they must reach as far there as to starboard. A pixel here and there, or a
+    range bin, may be missing.
+    """
+    k = 7
+    truth = sj.Pose(2.3, y, search.attitudes[k, 0] + math.atan2(y, 2.3), *search.attitudes[k, 1:])
+    image = np.asarray(sj.render(MESH, truth, SONAR).semantic())
+    mask = {
+        "everywhere": None,
+        "most pixels": np.random.default_rng(0).random(image.shape) > 0.2,
+        "every fourth range bin but one": np.arange(len(image))[:, None] % 4 + np.zeros(image.shape) > 0,
+    }[measured]
+    found = search.find(image if mask is None else np.where(mask, image, np.nan), mask)
+    assert found.scores[0] > 0.9
+    for name, most in (("x", 0.05), ("y", 0.03), ("yaw", 0.05)):
+        assert abs(float(getattr(found.poses, name)[0]) - float(getattr(truth, name))) < most, name
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"yaw_bins": 0}, "yaw_bins: expected a whole number of 1 or more"),
         ({"lifts": ()}, "lifts: expected at least one finite number"),
-        ({"lean": 0.0}, "positive angles"),
+        ({"lean": 0.0}, "lean: expected an angle above 0 and below π/2"),
+        ({"lean": 2.0}, "lean: expected an angle above 0 and below π/2"),
+        ({"apart": 4.0}, "apart: expected an angle above 0 and below π "),
     ],
 )
 def test_searches_that_cannot_be_are_refused(change, message):

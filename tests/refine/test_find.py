@@ -46,6 +46,12 @@ def test_a_leaning_object_is_found_from_nothing():
     assert turned_deg(best) < 0.5 and away(best) < 2e-3
 
 
+def test_views_take_one_estimate_each():
+    finder = sj.PoseFinder(MESH, SONAR, free=("yaw", "x", "y"), segmenter="none")
+    with pytest.raises(sj.SonarjaxError, match="alone: expected one estimate for each of 2 views, got 1"):
+        finder.views(np.full((2, *SONAR.shape), 0.5), sj.Pose(x=[0.0, 1.0]), [made([0.0], [0.5])])
+
+
 def made(yaws, scores):
     yaws = np.asarray(yaws, np.float32)
     count, scores = len(yaws), jax.device_put(np.asarray(scores, np.float32))

@@ -82,10 +82,10 @@ def test_overlaps_are_those_of_every_place():
         starts = rng.uniform(-1, 1, count).round(2)  # some of them touch
         ends = starts + rng.uniform(0.01, 0.3, count).round(2)
         exact = overlap_by_points(starts, ends)
-        assert slicing._deepest_overlap(starts, ends) == exact
-        by_bins = slicing._deepest_overlap_by_bins(starts, ends)
+        assert slicing.deepest_overlap(starts, ends) == exact
+        by_bins = slicing._overlap_by_bins(starts, ends)
         assert exact <= by_bins <= exact + count // 4  # what only touches counts too, and nothing is lost
-    assert slicing._deepest_overlap_by_bins(np.zeros(0), np.zeros(0)) == 0
+    assert slicing._overlap_by_bins(np.zeros(0), np.zeros(0)) == 0
 
 
 def test_fine_meshes_are_counted_as_others_are(monkeypatch):
