@@ -196,9 +196,9 @@ def _damped_step(at: _Assembled, prior: Prior, damping: float) -> _Step:
     """The Levenberg–Marquardt step."""
     information, gradients = _eliminated(at, damping)
     free = ~prior.fixed
-    whole = (information + np.diag(at.tight + damping / prior.trust**2))[np.ix_(free, free)]
+    normal = (information + np.diag(at.tight + damping / prior.trust**2))[np.ix_(free, free)]
     shared = np.zeros(len(free))
-    shared[free] = -np.linalg.solve(whole, (gradients.sum(0) + at.prior_gradient)[free])
+    shared[free] = -np.linalg.solve(normal, (gradients.sum(0) + at.prior_gradient)[free])
     rest = at.own_gradient + np.einsum("fps,s->fp", at.across, shared)
     own = np.clip(-np.einsum("fpq,fq->fp", np.linalg.inv(_damped(at.own, damping)), rest), -_TRUST, _TRUST)
     length = float(np.abs(shared / prior.trust).max(initial=0.0))

@@ -326,15 +326,15 @@ def _is_done(target: Path, chunk: int, plan: Plan) -> bool:
     """Whether a chunk's part holds a record of each of its frames, and all their files are there, no picture empty."""
     try:
         lines = [json.loads(line) for line in _part(target, chunk).read_text(encoding="utf-8").splitlines()]
-        whole = [line["number"] for line in lines] == list(_numbers(chunk, plan.frames))
+        complete = [line["number"] for line in lines] == list(_numbers(chunk, plan.frames))
         needed = {"objects", "sensor"} | ({"annotations"} if plan.format == "coco" else set())
-        for line in lines if whole else ():
+        for line in lines if complete else ():
             paths = paths_of(plan.format, line["number"])
-            whole &= needed <= line.keys() and all(line[name] == path for name, path in paths.items())
-            whole &= all(_is_written(target / path) for path in paths.values())
+            complete &= needed <= line.keys() and all(line[name] == path for name, path in paths.items())
+            complete &= all(_is_written(target / path) for path in paths.values())
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return False  # there is none, or it is damaged
-    return whole and (chunk > 0 or (target / SHEET).is_file())
+    return complete and (chunk > 0 or (target / SHEET).is_file())
 
 
 def _is_written(file: Path) -> bool:

@@ -87,9 +87,9 @@ def _arrays(pairs: Pairs) -> tuple[np.ndarray, np.ndarray]:
         if not ((images >= -ROUNDING) & (images <= 1 + ROUNDING)).all():
             raise SonarjaxError("pairs: image: expected values in [0, 1]")
         images = images.clip(0.0, 1.0)
-    whole = labels.dtype.kind in "iu"
-    if not (whole and ((labels >= 0) & (labels < len(STORED))).all()):
-        got = f"{labels.min()} to {labels.max()}" if whole else str(labels.dtype)
+    integers = labels.dtype.kind in "iu"
+    if not (integers and ((labels >= 0) & (labels < len(STORED))).all()):
+        got = f"{labels.min()} to {labels.max()}" if integers else str(labels.dtype)
         raise SonarjaxError(f"pairs: labels: expected whole numbers from 0 to {len(STORED) - 1}, got {got}")
     return images, labels
 

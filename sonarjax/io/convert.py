@@ -292,8 +292,8 @@ def _to_fan(polar: Frame, out: str, options: FanOptions, axes: PolarAxes | None)
 def _pixel(opening: float, near: float, far: float, shape: tuple[int, int]) -> float:
     """Length of a fan picture's pixel [m]: as `FINE` wants it, longer in a large picture, but not longer than cells."""
     depth, width = (far - near) / shape[0], opening / shape[1]
-    whole, (rows, columns) = fan_around(opening, near, far, far)
-    area = rows * whole.row_m * columns * whole.column_m
+    geometry, (rows, columns) = fan_around(opening, near, far, far)
+    area = rows * geometry.row_m * columns * geometry.column_m
     fine = max(min(depth, nearest_range(near, far) * width) / FINE, math.sqrt(area / LARGE))
     return min(fine, depth, (far + near) / 2 * width)
 

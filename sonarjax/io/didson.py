@@ -199,8 +199,8 @@ def didson_file(data: Content, name: str, tables: DidsonTables = DIDSON_TABLES) 
 
 def _file_header_bytes(data: Content, candidates: tuple[int, ...], frame_bytes: int) -> int:
     signed = [size for size in candidates if _signature(data, size) == SIGNATURE]
-    whole = [size for size in candidates if len(data) > size and (len(data) - size) % frame_bytes == 0]
-    return (signed + whole + list(candidates))[0]
+    exact = [size for size in candidates if len(data) > size and (len(data) - size) % frame_bytes == 0]
+    return (signed + exact + list(candidates))[0]
 
 
 def _signature(data: Content, base: int) -> bytes:

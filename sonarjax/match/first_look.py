@@ -250,8 +250,8 @@ class FirstLook:
         row, column = (int(v) for v in np.asarray(bank.offset))
         templates = np.asarray(bank.templates)
         ends = row % step, -(row + templates.shape[1]) % step
-        whole = np.pad(templates, ((0, 0), ends, (0, 0)), constant_values=0.5)
-        return CompactBank.of(decimated(whole, step)), row // step, column
+        padded = np.pad(templates, ((0, 0), ends, (0, 0)), constant_values=0.5)
+        return CompactBank.of(decimated(padded, step)), row // step, column
 
 
 def _make_unit(templates: np.ndarray) -> None:

@@ -156,7 +156,7 @@ def correlation_maps(
     Raises:
         SonarjaxError: Shapes do not fit, or something else than numbers is given.
     """
-    return _match(image, bank, mask, template_mask, min_valid, _whole_map)
+    return _match(image, bank, mask, template_mask, min_valid, _complete_map)
 
 
 def _match(
@@ -267,5 +267,5 @@ def best_position(maps: Float[Array, "pair two row col"]) -> MatchPositions:
     return MatchPositions(jnp.max(by_col, axis=2), jnp.argmax(column, axis=2), col)
 
 
-def _whole_map(maps: Float[Array, "pair two row col"]) -> Float[Array, "pair two row col"]:
+def _complete_map(maps: Float[Array, "pair two row col"]) -> Float[Array, "pair two row col"]:
     return maps

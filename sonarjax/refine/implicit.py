@@ -89,8 +89,8 @@ def _backward(kept: Any, wanted: Float[Array, "step"]) -> Any:
     def at(step: Array) -> list[Array]:
         def of(values: list[Array]) -> Array:
             given = iter(values)
-            whole = [next(given) if real else v for v, real in zip(leaves, inexact, strict=True)]
-            return misfit(jax.tree.unflatten(tree, whole), blur, step, reverse=True)
+            joined = [next(given) if real else v for v, real in zip(leaves, inexact, strict=True)]
+            return misfit(jax.tree.unflatten(tree, joined), blur, step, reverse=True)
 
         return jax.grad(of)(floats)
 

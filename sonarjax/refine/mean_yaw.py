@@ -80,8 +80,8 @@ def scores_near(
 
     All are over the same pixels: the box of the refined template with the bank's margin.
     """
-    whole = np.ones(image.shape, np.float32) if mask is None else mask.astype(np.float32)
-    seen, measured = (drawn.part(v) for v in (np.where(whole > 0, image, 0.0).astype(np.float32), whole))
+    weights = np.ones(image.shape, np.float32) if mask is None else mask.astype(np.float32)
+    seen, measured = (drawn.part(v) for v in (np.where(weights > 0, image, 0.0).astype(np.float32), weights))
 
     def turned(turn: Any) -> np.ndarray:
         numbers, static = _how(config, size)

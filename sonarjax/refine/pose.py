@@ -151,8 +151,8 @@ def _refine_views(
     found = [refine_jointly(job, Pose(**{n: v[k] for n, v in vars(starts).items()})) for k in range(len(starts.x))]
 
     def stacked(values: Sequence[Any]) -> Any:
-        whole = np.stack([np.asarray(v) for v in values])
-        return jax.device_put(whole.reshape(start.shape + whole.shape[1:]))
+        joined = np.stack([np.asarray(v) for v in values])
+        return jax.device_put(joined.reshape(start.shape + joined.shape[1:]))
 
     pose = jax.tree.map(lambda *v: stacked(v), *(one.pose for one in found))
     fields = ("covariance", "score", "start_score", "converged", "observable", "singular_values")

@@ -190,8 +190,8 @@ def on_frame(config: RefineConfig) -> RefineConfig:
 
 def evidence_of(drawn: Drawn, image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None, engine: Engine) -> Evidence:
     """Gather the evidence for a drawn template in its window of the frame."""
-    whole = np.ones(image.shape, np.float32) if mask is None else mask.astype(np.float32)
-    parts = (drawn.part(v) for v in (image, np.asarray(seen, np.float32), whole))
+    weights = np.ones(image.shape, np.float32) if mask is None else mask.astype(np.float32)
+    parts = (drawn.part(v) for v in (image, np.asarray(seen, np.float32), weights))
     return engine.run(gather_evidence, *parts, drawn.template, drawn.labels)
 
 

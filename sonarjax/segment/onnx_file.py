@@ -65,12 +65,12 @@ def onnx_model(segmenter: Segmenter) -> Any:
     def value(name: str, shape: tuple[Any, ...]) -> Any:
         return helper.make_tensor_value_info(name, TensorProto.FLOAT, shape)
 
-    whole = helper.make_graph(
+    proto = helper.make_graph(
         graph.nodes, "sonarjax_segmenter", [value("image", ("batch", *PATCH))],
         [value(*item) for item in outputs.items()], graph.constants,
     )  # fmt: skip
     model = helper.make_model(
-        whole, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION, producer_name="sonarjax"
+        proto, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION, producer_name="sonarjax"
     )
     helper.set_model_props(model, _about(segmenter, list(outputs)))
     onnx.checker.check_model(model, full_check=True)

@@ -169,12 +169,12 @@ def look_weights(looks: Any) -> Float[Array, "look"]:
     All looks have the same weight, except the last one if `looks` is not a whole number: that one weighs less.
     """
     looks = jnp.clip(jnp.asarray(looks, jnp.float32), 1.0, float(MAX_LOOKS))
-    whole = jnp.floor(looks)
+    full = jnp.floor(looks)
     # The last weight x, relative to the m equal ones, solves (m + x)² = L·(m + x²).
     rest = looks - 1
-    last = (whole - _safe_sqrt(whole**2 - rest * whole * (looks - whole))) / jnp.where(rest > 0, rest, 1.0)
+    last = (full - _safe_sqrt(full**2 - rest * full * (looks - full))) / jnp.where(rest > 0, rest, 1.0)
     order = jnp.arange(MAX_LOOKS)
-    weights = jnp.where(order < whole, 1.0, jnp.where(order == whole, jnp.where(rest > 0, last, 0.0), 0.0))
+    weights = jnp.where(order < full, 1.0, jnp.where(order == full, jnp.where(rest > 0, last, 0.0), 0.0))
     return weights / weights.sum()
 
 

@@ -75,7 +75,7 @@ def table_fields(table: Mapping[str, Any], source: str) -> dict[str, Any]:
         _require(table, source)
     values = _numbers(table, _FIELDS, source)
     if "n_ranges" in table:
-        values["n_ranges"] = _whole(table, "n_ranges", MAX_RANGES, source)
+        values["n_ranges"] = _count_of(table, "n_ranges", MAX_RANGES, source)
     if "floor" in table:
         values["floor"] = _floor(table["floor"], source)
     if "geometry_std" in table:
@@ -180,7 +180,7 @@ def _number(value: Any, key: str, source: str) -> float:
     return number
 
 
-def _whole(table: Mapping[str, Any], key: str, largest: int, source: str) -> int:
+def _count_of(table: Mapping[str, Any], key: str, largest: int, source: str) -> int:
     value = table[key]
     if isinstance(value, bool) or not isinstance(value, int | np.integer):
         raise SonarjaxError(f"{source}: {key} must be a whole number, got {_shown(value)}")
@@ -215,7 +215,7 @@ def _geometry_std(table: Any, source: str) -> GeometryStd:
 
 def _azimuth(table: Mapping[str, Any], base: dict[str, Any] | None, source: str) -> Float[Array, "beam"]:
     """Beam centres (beam,) [rad] from the list, or else from the number of beams and the field of view."""
-    n_beams = _whole(table, "n_beams", MAX_BEAMS, source) if "n_beams" in table else None
+    n_beams = _count_of(table, "n_beams", MAX_BEAMS, source) if "n_beams" in table else None
     view = None
     if "field_of_view_deg" in table:
         view = _number(table["field_of_view_deg"], "field_of_view_deg", source)

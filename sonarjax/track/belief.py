@@ -186,13 +186,13 @@ def step(belief: Belief, measurement: Measurement, numbers: Numbers) -> Belief:
     candidates = jax.tree.map(lambda *v: jnp.concatenate(v), *parts)
     kept = reduced(candidates, many - 1, numbers.merge)
     anywhere = Mixture(missed[:1], belief.mean[:1], belief.covariance[:1], numbers_of_parents[:1])
-    whole = jax.tree.map(lambda *v: jnp.concatenate(v), anywhere, kept)
-    gain = whole.log_weight - before[whole.parent]
+    joined = jax.tree.map(lambda *v: jnp.concatenate(v), anywhere, kept)
+    gain = joined.log_weight - before[joined.parent]
     return Belief(
-        log_weight=whole.log_weight - jax.scipy.special.logsumexp(whole.log_weight),
-        mean=whole.mean.at[:, YAW].set(whole.mean[:, YAW] % (2 * jnp.pi)),
-        covariance=whole.covariance,
-        parent=whole.parent.astype(jnp.int32),
+        log_weight=joined.log_weight - jax.scipy.special.logsumexp(joined.log_weight),
+        mean=joined.mean.at[:, YAW].set(joined.mean[:, YAW] % (2 * jnp.pi)),
+        covariance=joined.covariance,
+        parent=joined.parent.astype(jnp.int32),
         gain=jnp.where(jnp.isfinite(gain), gain, -jnp.inf),
         sonar=measurement.sonar,
         elapsed=measurement.elapsed,
@@ -282,9 +282,9 @@ def _first(pose: Array, std: Array, sonar: Array, numbers: Numbers) -> tuple[Arr
     turn = _observation(sonar)[:, SHARED]
     across = -turn * shared
     rate = jnp.zeros((STATES, STATES)).at[RATE, RATE].set(numbers.rate_std**2)
-    whole = rate.at[:3, :3].set(jnp.diag(std**2 + shared)).at[:3, SHARED].set(across)
-    whole = whole.at[SHARED, :3].set(across.T).at[SHARED, SHARED].set(jnp.diag(shared))
-    return jnp.zeros(STATES).at[:3].set(to_common(pose, sonar)), whole
+    covariance = rate.at[:3, :3].set(jnp.diag(std**2 + shared)).at[:3, SHARED].set(across)
+    covariance = covariance.at[SHARED, :3].set(across.T).at[SHARED, SHARED].set(jnp.diag(shared))
+    return jnp.zeros(STATES).at[:3].set(to_common(pose, sonar)), covariance
 
 
 @jax.jit

@@ -102,8 +102,8 @@ def probability(found: Recognition) -> float:
 
 def _yaw_std(one: Hypothesis, yaw_bins: int, config: TrackConfig) -> float:
     """Standard deviation [rad] of the part of the error that differs from frame to frame."""
-    whole = 2 * math.pi / yaw_bins / math.sqrt(12) if one.yaw_std is None else one.yaw_std
-    return config.yaw_scale * whole
+    std = 2 * math.pi / yaw_bins / math.sqrt(12) if one.yaw_std is None else one.yaw_std
+    return config.yaw_scale * std
 
 
 def _place(one: Hypothesis, found: Recognition) -> tuple[float, float]:
@@ -160,5 +160,5 @@ def _half_width(share: np.ndarray, middle: np.ndarray, std: np.ndarray) -> float
 
 def each_of(beliefs: Belief) -> list[Belief]:
     """Split beliefs (frame, component) into one belief for each frame."""
-    whole = jax.tree.map(np.asarray, beliefs)
-    return [jax.tree.map(lambda v, k=k: v[k], whole) for k in range(len(whole.elapsed))]
+    fetched = jax.tree.map(np.asarray, beliefs)
+    return [jax.tree.map(lambda v, k=k: v[k], fetched) for k in range(len(fetched.elapsed))]

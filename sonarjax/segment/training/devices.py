@@ -85,9 +85,9 @@ def local_copy(tree: Any) -> Any:
 
 def make_step(recipe: Recipe, mesh: Mesh) -> Callable[[GanState, Array, Array, Any], tuple[GanState, Losses]]:
     """The compiled step: state (donated), images and labels as bytes, the run's key data → next state and losses."""
-    whole, split = copied(mesh), NamedSharding(mesh, PartitionSpec("batch"))
+    copies, split = copied(mesh), NamedSharding(mesh, PartitionSpec("batch"))
 
-    @partial(jax.jit, in_shardings=(whole, split, split, whole), out_shardings=whole)
+    @partial(jax.jit, in_shardings=(copies, split, split, copies), out_shardings=copies)
     def take_gradients(state: GanState, image: Array, labels: Array, dropout: Any) -> Gradients:
         x = (image.astype(jnp.float32) / 127.5 - 1)[..., None]
         key = jax.random.fold_in(jax.random.wrap_key_data(dropout), state.step)

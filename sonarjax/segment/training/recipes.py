@@ -16,25 +16,25 @@ from sonarjax.io.given import check_kind, shown
 from sonarjax.segment.step import GanConfig
 
 
-def _whole(value: Any, least: int = 1) -> bool:
+def _is_count(value: Any, least: int = 1) -> bool:
     return type(value) is int and value >= least  # a recipe is written as JSON, which NumPy's numbers are not
 
 
 Rules = tuple[tuple[str, Callable[[Any], bool], str], ...]
 COUNT = "a whole number of 1 or more"
 RULES: Rules = (
-    ("batch pairs passes sets validation_pairs checkpoint_steps log_steps", _whole, COUNT),
-    ("run_seed", lambda v: _whole(v, 0), "a whole number of 0 or more"),
+    ("batch pairs passes sets validation_pairs checkpoint_steps log_steps", _is_count, COUNT),
+    ("run_seed", lambda v: _is_count(v, 0), "a whole number of 0 or more"),
     ("mirrored plain", lambda v: 0 <= v <= 1, "a share from 0 to 1"),
     ("largest_loss", lambda v: v > 0, "a number above 0"),
 )
 """Fields of a recipe, what must hold of each, and how that is said."""
 NETWORK_RULES: Rules = (
-    ("width discriminator_width", _whole, COUNT),
-    ("decay_steps", lambda v: _whole(v, 0), "a whole number of 0 or more"),
+    ("width discriminator_width", _is_count, COUNT),
+    ("decay_steps", lambda v: _is_count(v, 0), "a whole number of 0 or more"),
     (
         "multipliers",
-        lambda v: type(v) is tuple and len(v) == 7 and all(map(_whole, v)),
+        lambda v: type(v) is tuple and len(v) == 7 and all(map(_is_count, v)),
         "a tuple of 7 whole numbers of 1 or more",
     ),
     ("learning_rate", lambda v: 0 < v < math.inf, "a finite number above 0"),
