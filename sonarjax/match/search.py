@@ -42,7 +42,11 @@ SEARCH_MIN_VALID = 0.5
 `match_bank`, because a search looks everywhere and would find a template of which little was measured.
 """
 WIDTH_STEP = 32
-"""Coarse templates are rounded up to multiples of this many coarse rows and beams."""
+"""Coarse templates are rounded up to multiples of this many coarse rows and beams.
+
+So they cannot be shifted as far to port as to starboard. `TargetSearch` needs no room there: its fine templates, which
+are not rounded up, then find the object. With room, results are the same but for chance (docs/outside.md).
+"""
 NOT_SEEN = "{}: at no distance inside the sonar's view is any part of it visible"
 """Error message; the target's name goes in."""
 KEPT_COMPACT = 4
@@ -342,31 +346,33 @@ def decimated(image: np.ndarray, step: int) -> np.ndarray:
     return groups.mean(axis=-2)
 
 
-def coarse_frame(image: np.ndarray, mask: np.ndarray | None, step: int) -> tuple[np.ndarray, np.ndarray | None]:
-    """A frame (range, beam) for `coarse_bank`: `step` range bins are one, and there is more background to port.
+def coarse_frame(
+    image: np.ndarray, mask: np.ndarray | None, step: int, room: int = 0
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """A frame (range, beam) for `coarse_bank`: `step` range bins are one.
 
-    The mask, if there is one, is true where at least half of the bins were measured.
+    The mask, if there is one, is true where at least half of the bins were measured. To port, `room` beams of
+    background are added, where the background of coarse templates can lie (see `rounded_up`).
     """
-    room = ((0, 0), (0, WIDTH_STEP))
+    beside = ((0, 0), (0, room))
     if mask is None:
         small = decimated(image, step)
         floor = np.median(small, axis=1, keepdims=True)
-        return np.concatenate([small, np.broadcast_to(floor, (len(small), WIDTH_STEP))], axis=1), None
+        return np.concatenate([small, np.broadcast_to(floor, (len(small), room))], axis=1), None
     share = decimated(mask.astype(np.float32), step)
     small = decimated(np.where(mask, image, np.float32(0)), step) / np.maximum(share, np.float32(1e-6))
     seen = share >= 0.5
     floor = np.ma.filled(np.ma.median(np.ma.array(small, mask=~seen), axis=1), 0.5)
-    wide = np.where(np.pad(seen, room), np.pad(small, room), floor[:, None])
-    return wide.astype(np.float32), np.pad(seen, room, constant_values=True)
+    wide = np.where(np.pad(seen, beside), np.pad(small, beside), floor[:, None])
+    return wide.astype(np.float32), np.pad(seen, beside, constant_values=True)
 
 
-def coarse_bank(templates: Any, sonar: Sonar, step: int, masked: bool) -> PreparedBank:
-    """Templates (yaw, h, w) ready to be matched with a `coarse_frame` of the sonar."""
-    rows = np.asarray(templates)
-    rows = np.pad(rows, ((0, 0), (0, -rows.shape[1] % step), (0, 0)), constant_values=0.5)
-    frame = sonar.n_ranges // step, sonar.n_beams + WIDTH_STEP
-    small = decimated(rows, step)[:, : frame[0]]
-    return prepare_bank(rounded_up(small, frame), frame, masked=masked)
+def coarse_bank(templates: Any, sonar: Sonar, step: int, masked: bool, room: int = 0) -> PreparedBank:
+    """Templates (yaw, h, w) ready to be matched with a `coarse_frame` of the sonar, with the same `room`."""
+    views = np.asarray(templates)
+    views = np.pad(views, ((0, 0), (0, max(step - views.shape[1], 0)), (0, 0)), constant_values=0.5)
+    frame = sonar.n_ranges // step, sonar.n_beams + room
+    return prepare_bank(rounded_up(decimated(views, step), frame), frame, masked=masked)
 
 
 _floor_point = jax.jit(floor_point)
