@@ -18,7 +18,7 @@ from jaxtyping import Float
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.given import check_whole, is_number, several, shown
 from sonarjax.match.ncc import PreparedBank, match_positions
-from sonarjax.match.search import SEARCH_MIN_VALID, WIDTH_STEP, Match, TargetSearch, coarse_bank, coarse_frame, mid_fan
+from sonarjax.match.search import SEARCH_MIN_VALID, SIZE_STEPS, Match, TargetSearch, coarse_bank, coarse_frame, mid_fan
 from sonarjax.render import TemplateBank, WindowSize, template_bank
 from sonarjax.scene import Mesh, Pose
 
@@ -106,7 +106,7 @@ class LeanSearch:
         place = search.place(search.find(np.asarray(image, np.float32), mask))
         index = int(np.argmin(np.abs(search.distances - math.hypot(*place))))
         entry = self._bank(index, mask is not None)
-        small, seen = coarse_frame(np.asarray(image, np.float32), mask, step, WIDTH_STEP)
+        small, seen = coarse_frame(np.asarray(image, np.float32), mask, step)
         found = match_positions(small, entry.prepared, seen, min_valid=SEARCH_MIN_VALID, penalise_unmeasured=True)
         scores, rows, columns = jax.device_get((found.scores, found.row, found.col))
         top, left = (int(v) for v in np.asarray(entry.bank.offset))
@@ -131,9 +131,9 @@ class LeanSearch:
                 search.mesh, search.sonar, yaws, x=x, y=y, z=z, roll=roll, pitch=pitch,
                 size=self._window(), quality=search.config.quality, engine=search.engine,
             )  # fmt: skip
-            self._banks[index, masked] = _Bank(
-                bank, coarse_bank(bank.templates, search.sonar, step, masked, WIDTH_STEP)
-            )
+            # No fine templates come after these, so they must reach as far to port as to starboard.
+            prepared = coarse_bank(bank.templates, search.sonar, step, masked, (SIZE_STEPS[0], 1))
+            self._banks[index, masked] = _Bank(bank, prepared)
         return self._banks[index, masked]
 
     def _window(self) -> WindowSize:

@@ -41,11 +41,11 @@ SEARCH_MIN_VALID = 0.5
 """Least share of a template's pixels that were measured, where part of the frame is masked. It is more than that of
 `match_bank`, because a search looks everywhere and would find a template of which little was measured.
 """
-WIDTH_STEP = 32
+SIZE_STEPS = 32, 32
 """Coarse templates are rounded up to multiples of this many coarse rows and beams.
 
-So they cannot be shifted as far to port as to starboard. `TargetSearch` needs no room there: its fine templates, which
-are not rounded up, then find the object. With room, results are the same but for chance (docs/outside.md).
+So they cannot be shifted as far to port as to starboard, which does no harm: fine templates, which are not rounded up,
+find the object afterwards. A margin of background to port of the frame was tried, and raw frames then matched worse.
 """
 NOT_SEEN = "{}: at no distance inside the sonar's view is any part of it visible"
 """Error message; the target's name goes in."""
@@ -346,33 +346,29 @@ def decimated(image: np.ndarray, step: int) -> np.ndarray:
     return groups.mean(axis=-2)
 
 
-def coarse_frame(
-    image: np.ndarray, mask: np.ndarray | None, step: int, room: int = 0
-) -> tuple[np.ndarray, np.ndarray | None]:
-    """A frame (range, beam) for `coarse_bank`: `step` range bins are one.
+def coarse_frame(image: np.ndarray, mask: np.ndarray | None, step: int) -> tuple[np.ndarray, np.ndarray | None]:
+    """A frame (range, beam) for `coarse_bank`: `step` range bins are one, the mean of those that were measured.
 
-    The mask, if there is one, is true where at least half of the bins were measured. To port, `room` beams of
-    background are added, where the background of coarse templates can lie (see `rounded_up`).
+    The mask, if there is one, is true where at least half of them were.
     """
-    beside = ((0, 0), (0, room))
     if mask is None:
-        small = decimated(image, step)
-        floor = np.median(small, axis=1, keepdims=True)
-        return np.concatenate([small, np.broadcast_to(floor, (len(small), room))], axis=1), None
+        return decimated(image, step), None
     share = decimated(mask.astype(np.float32), step)
     small = decimated(np.where(mask, image, np.float32(0)), step) / np.maximum(share, np.float32(1e-6))
-    seen = share >= 0.5
-    floor = np.ma.filled(np.ma.median(np.ma.array(small, mask=~seen), axis=1), 0.5)
-    wide = np.where(np.pad(seen, beside), np.pad(small, beside), floor[:, None])
-    return wide.astype(np.float32), np.pad(seen, beside, constant_values=True)
+    return small.astype(np.float32), share >= 0.5
 
 
-def coarse_bank(templates: Any, sonar: Sonar, step: int, masked: bool, room: int = 0) -> PreparedBank:
-    """Templates (yaw, h, w) ready to be matched with a `coarse_frame` of the sonar, with the same `room`."""
+def coarse_bank(
+    templates: Any, sonar: Sonar, step: int, masked: bool, sizes: tuple[int, int] = SIZE_STEPS
+) -> PreparedBank:
+    """Templates (yaw, h, w) ready to be matched with a `coarse_frame` of the sonar.
+
+    They are rounded up to multiples of `sizes` coarse rows and beams.
+    """
     views = np.asarray(templates)
     views = np.pad(views, ((0, 0), (0, max(step - views.shape[1], 0)), (0, 0)), constant_values=0.5)
-    frame = sonar.n_ranges // step, sonar.n_beams + room
-    return prepare_bank(rounded_up(decimated(views, step), frame), frame, masked=masked)
+    frame = sonar.n_ranges // step, sonar.n_beams
+    return prepare_bank(rounded_up(decimated(views, step), frame, sizes), frame, masked=masked)
 
 
 _floor_point = jax.jit(floor_point)
@@ -386,12 +382,12 @@ def _bank_window(mesh: Mesh, sonar: Sonar, nearest: float) -> WindowSize:
     return WindowSize((sonar.n_ranges, columns), beams)
 
 
-def rounded_up(templates: np.ndarray, frame: tuple[int, int]) -> np.ndarray:
+def rounded_up(templates: np.ndarray, frame: tuple[int, int], steps: tuple[int, int] = SIZE_STEPS) -> np.ndarray:
     """Coarse templates (yaw, h, w) with background added past the object and to port: few shapes, so few to be
     compiled.
     """
-    sizes = zip(templates.shape[1:], frame, strict=True)
-    room = ((0, min(-n % WIDTH_STEP, most - n)) for n, most in sizes)
+    sizes = zip(templates.shape[1:], frame, steps, strict=True)
+    room = ((0, min(-n % step, most - n)) for n, most, step in sizes)
     return np.pad(templates, ((0, 0), *room), constant_values=0.5)
 
 
