@@ -47,7 +47,7 @@ PERTURBED = 2
 SAME, APART = math.radians(2.0), math.radians(20.0)
 """Poses within the first rotation are the same; poses beyond the second are different hypotheses [rad]."""
 MOST_LEANS = 64
-"""About how many of the leaning poses are asked how many triangles a slice meets there."""
+"""About how many leaning poses are looked at, to make room for their triangles."""
 KEPT_OF_EACH = 3
 """Number of hypotheses of each view from which the joint refinement of several views starts."""
 
