@@ -16,6 +16,7 @@ from sonarjax.render.fits import check_single
 from sonarjax.render.region import image_azimuth
 from sonarjax.render.simulate import check_sonar_alone
 from sonarjax.scene import Pose
+from sonarjax.scene.limits import check_pose
 from sonarjax.sonar import Sonar
 from sonarjax.sonar.image import check_values
 
@@ -62,9 +63,10 @@ def starts_of(poses: Pose, count: int, sonar: Sonar) -> list[Pose]:
     """Split the poses (frame,) into one for each frame.
 
     Raises:
-        SonarjaxError: There are not `count` poses, or the object is out of view at one of them.
+        SonarjaxError: There are not `count` poses, one is not finite, or the object is out of view at one of them.
     """
     check_kind(poses, Pose, "poses")
+    check_pose(poses)
     if poses.shape != (count,):
         raise SonarjaxError(f"poses: expected one for each of the {count} frames, got shape {poses.shape}")
     starts = [jax.tree.map(lambda v, k=k: np.asarray(v)[k], poses) for k in range(count)]

@@ -136,6 +136,8 @@ def make_dataset(
     """
     _check(meshes, sonar, count, format, settings, shard, license)
     plan = _plan(meshes, sonar, int(count), key, format, settings)
+    if not os.fspath(folder):
+        raise SonarjaxError("folder: expected a path, got an empty text")
     target = Path(folder)
     facts = _facts(plan, meshes, license)
     _take_up(target, facts)

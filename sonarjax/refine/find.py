@@ -92,6 +92,8 @@ class PoseFinder:
         check_kind(sonar, Sonar, "sonar")
         for name, config, kind in (("search", search, SearchConfig), ("lean", lean, LeanSearchConfig)):
             check_kind(config, kind, name)
+        if error_bar is not None:
+            check_kind(error_bar, PoseErrorBar, "error_bar")
         self.free, self.refine, self.engine = check_free(free), refine, engine
         self.error_bar = error_bar
         self.sonar = sonar.replace(geometry_std=None)

@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 from sonarjax.engine import Engine
 from sonarjax.exact import full_precision
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.io.given import check_kind
+from sonarjax.io.given import check_kind, image_array
 from sonarjax.refine.config import SLACK_M, RefineConfig
 from sonarjax.refine.free import ALL, BOUNCES, trusts
 from sonarjax.refine.objective import ROW_STRIDE, Problem, box_around, crop_score, make_blur, normalised
@@ -362,6 +362,7 @@ def check_views(images: Any, sonar_poses: Pose, start: Pose, sonar: Sonar) -> np
         SonarjaxError: Images, poses or start do not fit together.
     """
     check_kind(sonar_poses, Pose, "sonar_poses")
+    images = image_array(images, "image")
     if np.ndim(images) != 3 or np.shape(images)[-2:] != sonar.shape:
         raise SonarjaxError(f"image: expected shape (view, {sonar.n_ranges}, {sonar.n_beams}), got {np.shape(images)}")
     if sonar_poses.shape != np.shape(images)[:1]:

@@ -23,7 +23,7 @@ from sonarjax.calibrate.inputs import check_frames, check_kinds, starts_of
 from sonarjax.calibrate.solver import BOUNCE
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.io.given import check_whole, is_number, positive_numbers, shown
+from sonarjax.io.given import check_kind, check_whole, is_number, positive_numbers, shown
 from sonarjax.refine.objective import Problem, box_around, make_blur, misfit
 from sonarjax.refine.solver import Search, best_template
 from sonarjax.refine.template import VIEWS, EchoLaw, Subject, nominal_law, render_layers, semantic_template
@@ -129,6 +129,7 @@ def fit_surface(
             vertices.
     """
     check_kinds(mesh, sonar)
+    check_kind(config, SurfaceConfig, "config")
     images, measured = check_frames(frames, masks, sonar)
     starts = starts_of(poses, len(images), sonar)
     vertices = np.asarray(mesh.vertices, np.float64)
