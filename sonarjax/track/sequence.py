@@ -303,6 +303,9 @@ def _checked(
     poses = _poses(sonar_poses, len(images))
     if len(masked) != len(images):
         raise SonarjaxError(f"masks: expected one for each of {len(images)} frames, got {len(masked)}")
+    for k, mask in enumerate(masked):
+        if mask is not None and np.shape(mask) != images[k].shape:
+            raise SonarjaxError(f"masks[{k}]: expected the frame's shape {images[k].shape}, got {np.shape(mask)}")
     elapsed = [1.0] * len(images)
     if times is not None:
         at = np.asarray(number_array(times, "times"), float)
