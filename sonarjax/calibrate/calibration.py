@@ -142,11 +142,11 @@ def calibrate(
 
     Raises:
         SonarjaxError: There are no frames, their shapes do not fit the sonar, they are all the same, values are not
-            finite, there is another number of poses or masks, the target is out of view at a given pose, a free number
-            does not exist or is repeated, a prior is not positive or belongs to no free number, `range_offset` is free
-            and the window begins too near the sonar, there is no such segmenter, the sonar sees no floor on which the
-            target can stand, the picture has no finite derivatives where the fit begins, or the target is found in none
-            of the frames.
+            finite (also of poses), there is another number of poses or masks, the target is out of view at a given
+            pose, a free number does not exist or is repeated, a prior is not positive or belongs to no free number,
+            `range_offset` is free and the window begins too near the sonar, there is no such segmenter, the sonar sees
+            no floor on which the target can stand, the picture has no finite derivatives where the fit begins, or the
+            target is found in none of the frames.
     """
     check_kinds(mesh, sonar)
     check_kind(search, SearchConfig, "search")

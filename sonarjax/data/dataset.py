@@ -131,13 +131,13 @@ def make_dataset(
         True if the data set is complete, False if chunks of other shards are missing.
 
     Raises:
-        SonarjaxError: A setting is not allowed, a mesh is larger than the view, the sonar sees no floor or its platform
-            is out of view, or the folder holds something other than a part of the same data set.
+        SonarjaxError: A setting is not allowed, `folder` is empty, a mesh is larger than the view, the sonar sees no
+            floor or its platform is out of view, or the folder holds something other than a part of the same data set.
     """
     _check(meshes, sonar, count, format, settings, shard, license)
-    plan = _plan(meshes, sonar, int(count), key, format, settings)
     if not os.fspath(folder):
         raise SonarjaxError("folder: expected a path, got an empty text")
+    plan = _plan(meshes, sonar, int(count), key, format, settings)
     target = Path(folder)
     facts = _facts(plan, meshes, license)
     _take_up(target, facts)

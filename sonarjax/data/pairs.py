@@ -140,7 +140,7 @@ def make_pairs(
     check_whole(count, 1, "count")
     check_whole(first, 0, "first")
     check_kind(settings, PairSettings, "settings")
-    key_numbers(key)
+    key_numbers(key)  # raises if it is no key
     size = CHUNK if jax.default_backend() == "cpu" else VMAPPED
     starts = list(range(first, first + count, size))
 

@@ -86,7 +86,8 @@ class PoseFinder:
             engine: Runs the compiled functions.
 
         Raises:
-            SonarjaxError: As `Recognizer` for target, sonar and segmenter, and as `refine_pose` for `free`.
+            SonarjaxError: As `Recognizer` for target, sonar and segmenter, and as `refine_pose` for `free`; or a config
+                or `error_bar` is something else.
         """
         check_kind(mesh, Mesh, "mesh")
         check_kind(sonar, Sonar, "sonar")

@@ -34,9 +34,10 @@ def with_lean_room(mesh: Mesh, poses: Pose, sonar: Sonar) -> Mesh:
     Returns:
         The mesh, with more room if it needs it.
     """
-    numbers = np.stack([np.asarray(v, np.float32).ravel() for v in vars(poses).values()], axis=1)
-    leaning = numbers[(numbers[:, 4:] != 0).any(axis=1)]
-    needed = max((_crossings(mesh, Pose(*one), sonar) for one in leaning), default=0)
+    flat = jax.tree.map(lambda v: np.asarray(v).ravel(), poses)
+    leaning = np.flatnonzero((flat.roll != 0) | (flat.pitch != 0))
+    each = (jax.tree.map(lambda v, k=k: v[k], flat) for k in leaning)
+    needed = max((_crossings(mesh, pose, sonar) for pose in each), default=0)
     return mesh.with_room(math.ceil(SPARE * needed), mesh.front) if needed else mesh
 
 

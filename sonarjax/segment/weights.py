@@ -76,8 +76,8 @@ def load_generator(path: str | os.PathLike[str] | None = None) -> GeneratorWeigh
     Raises:
         SonarjaxError: The file is missing or damaged, or its arrays are not those of a generator.
     """
-    arrays, _ = read_safetensors(shipped_path() if path is None else path)
-    return generator_of(arrays, "" if path is None else os.fspath(path), check=path is not None)
+    file = shipped_path() if path is None else path
+    return generator_of(read_safetensors(file)[0], os.fspath(file), check=path is not None)
 
 
 def generator_of(arrays: Mapping[str, np.ndarray], name: str, *, check: bool) -> GeneratorWeights:

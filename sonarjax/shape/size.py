@@ -94,8 +94,8 @@ def fit_size(
 
     Raises:
         SonarjaxError: There are no frames, their shapes do not fit the sonar, they are all the same, values are not
-            finite, there is another number of poses or masks, the object is out of view, an extent does not exist or
-            is repeated, or a prior is no positive number or belongs to no free extent.
+            finite (also of poses), there is another number of poses or masks, the object is out of view, an extent does
+            not exist or is repeated, or a prior is no positive number or belongs to no free extent.
     """
     check_kinds(mesh, sonar)
     names = in_order(free, SIZES)

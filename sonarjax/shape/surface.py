@@ -125,8 +125,8 @@ def fit_surface(
 
     Raises:
         SonarjaxError: There are no frames, their shapes do not fit the sonar, they are all the same, values are not
-            finite, there is another number of poses or masks, the body is out of view, or the mesh has too many
-            vertices.
+            finite (also of poses), there is another number of poses or masks, the body is out of view, the mesh has too
+            many vertices, or `config` is something else.
     """
     check_kinds(mesh, sonar)
     check_kind(config, SurfaceConfig, "config")
