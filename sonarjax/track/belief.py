@@ -26,6 +26,8 @@ STATES = 7
 """Number of states of a Gaussian: yaw [rad], x, y [m], rate [rad/frame], and the shared errors of yaw, x, y."""
 YAW, X, Y, RATE = range(4)
 SHARED = slice(4, 7)
+UNKNOWN_YAW = math.pi**2 / 3
+"""Variance of a yaw of which nothing is known [rad²]."""
 
 
 @record
@@ -154,7 +156,8 @@ def step(belief: Belief, measurement: Measurement, numbers: Numbers) -> Belief:
     Returns:
         The belief after this frame (component,).
     """
-    mean, covariance, _, _ = predicted(belief, measurement.sonar, measurement.elapsed, numbers)
+    expected = predicted(belief, measurement.sonar, measurement.elapsed, numbers)
+    mean, covariance = expected.mean, expected.covariance
     fading = jnp.where(jnp.isfinite(measurement.log_weight).any(), numbers.fading, 1.0)
     before = fading * belief.log_weight
     before = before - jax.scipy.special.logsumexp(before)
@@ -214,16 +217,27 @@ def _alike(density: Array, log_weight: Array, measurement: Measurement, numbers:
     return jnp.logaddexp(jnp.log1p(-numbers.alias), jnp.log(numbers.alias) + again)
 
 
-@full_precision
-def predicted(
-    belief: Belief, sonar: Float[Array, "3"], elapsed: Float[Array, ""], numbers: Numbers
-) -> tuple[
-    Float[Array, "component 7"], Float[Array, "component 7 7"], Float[Array, "component 7 7"],
-    Float[Array, "component 7 7"],
-]:  # fmt: skip
-    """Means (component, 7) and covariances (component, 7, 7) at the next frame, then transitions and process noises."""
+@record
+class Prediction:
+    """A belief at the time of the next frame, before that frame is used, and how its states follow from the earlier."""
 
-    def one(mean: Array, covariance: Array) -> tuple[Array, Array, Array, Array]:
+    mean: Float[Array, "*batch component 7"]
+    """Means, as in `Belief`."""
+    covariance: Float[Array, "*batch component 7 7"]
+    """Their covariances."""
+    cross: Float[Array, "*batch component 7 7"]
+    """Covariances of the earlier states (first axis) with the predicted ones."""
+    transition: Float[Array, "*batch component 7 7"]
+    """Matrix by which the predicted mean follows from the earlier one."""
+    noise: Float[Array, "*batch component 7 7"]
+    """Covariance that the time since the earlier frame adds."""
+
+
+@full_precision
+def predicted(belief: Belief, sonar: Float[Array, "3"], elapsed: Float[Array, ""], numbers: Numbers) -> Prediction:
+    """Predict a belief (component,) for a sonar at `sonar` (x, y [m], yaw [rad]), `elapsed` [frames] later."""
+
+    def one(mean: Array, covariance: Array) -> tuple[Array, ...]:
         old, new = (jnp.arctan2(mean[Y] - s[1], mean[X] - s[0]) for s in (belief.sonar, sonar))
         changed = mean[RATE] * elapsed - signed(new - old)
         # Uncertainty about the rate adds to the change of aspect.
@@ -233,9 +247,33 @@ def predicted(
         drifts = numbers.yaw_drift, numbers.place_drift, numbers.place_drift, numbers.rate_drift
         anew = (1 - alike**2) * numbers.floor**2
         noise = jnp.diag(jnp.stack([*(v**2 * elapsed for v in drifts), anew, 0.0 * anew, 0.0 * anew]))
-        return transition @ mean, transition @ covariance @ transition.T + noise, transition, noise
+        cross = covariance @ transition.T
+        unlimited = transition @ cross + noise
+        keep = _kept_of_yaw(unlimited)
+        return transition @ mean, on_circle(unlimited), cross.at[:, YAW].mul(keep), transition, noise
 
-    return jax.vmap(one)(belief.mean, belief.covariance)
+    return Prediction(*jax.vmap(one)(belief.mean, belief.covariance))
+
+
+def on_circle(covariance: Float[Array, "7 7"]) -> Float[Array, "7 7"]:
+    """Limit the variance of yaw to that of a yaw of which nothing is known, π²/3.
+
+    A yaw that may have turned several times around is as good as unknown, and says next to nothing about the rate. Its
+    covariances with the other states therefore fall by the same factor as its variance.
+
+    Args:
+        covariance: Covariance of the states (7, 7).
+
+    Returns:
+        The covariance (7, 7), still positive; the same if the standard deviation of yaw is at most π/√3.
+    """
+    keep = _kept_of_yaw(covariance)
+    variance = keep * covariance[YAW, YAW]
+    return covariance.at[YAW].mul(keep).at[:, YAW].mul(keep).at[YAW, YAW].set(variance)
+
+
+def _kept_of_yaw(covariance: Array) -> Array:
+    return jnp.minimum(1.0, UNKNOWN_YAW / jnp.maximum(covariance[YAW, YAW], UNKNOWN_YAW))
 
 
 def _observation(sonar: Float[Array, "3"]) -> Float[Array, "3 7"]:

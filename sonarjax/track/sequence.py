@@ -36,7 +36,9 @@ class Tracked:
     """The belief after one frame."""
 
     modes: tuple[Mode, ...]
-    """Possible poses, the most likely first; empty before the target was first seen."""
+    """Possible poses, the most likely first; empty until a frame gives a hypothesis. Those of a frame that hardly shows
+    the target have small probabilities.
+    """
     recognition: Recognition | None
     """What this frame alone says; None if it could not be recognized."""
     error: str | None
@@ -46,7 +48,7 @@ class Tracked:
 
     @property
     def best(self) -> Mode:
-        """The most likely mode. Before anything was seen, NaN with infinite standard deviations."""
+        """The most likely mode. If there is none yet, NaN with infinite standard deviations."""
         nan = math.nan
         return self.modes[0] if self.modes else Mode(nan, nan, nan, nan, np.full((4, 4), np.inf), math.inf, 0.0)
 
@@ -56,7 +58,7 @@ class Track:
     """The belief after each frame, or with `smooth` given all frames; arrays (frame,), poses in the common frame."""
 
     yaw: np.ndarray
-    """Yaw (frame,) of the most likely mode [rad]; NaN before the target was first seen."""
+    """Yaw (frame,) of the most likely mode [rad]; NaN until a frame gives a hypothesis."""
     yaw_std: np.ndarray
     """Its standard deviation (frame,) [rad], provided that this mode is the right one."""
     x: np.ndarray
@@ -98,8 +100,8 @@ class Tracker:
                 even if matching misses it.
 
         Raises:
-            SonarjaxError: There is no recognizer, it has several targets, `motion` is not a motion, or `config` no
-                `TrackConfig`.
+            SonarjaxError: There is no recognizer, it has several targets, `motion` is not a motion, `config` no
+                `TrackConfig`, or `threshold` no finite number.
         """
         check_kind(recognizer, Recognizer, "recognizer")
         check_kind(config, TrackConfig, "config")
@@ -107,6 +109,8 @@ class Tracker:
             raise SonarjaxError(f"recognizer: expected one with a single target, got {len(recognizer.targets)} targets")
         if not isinstance(motion, Standing | Turning):
             raise SonarjaxError(f"motion: expected Standing() or Turning(), got {motion!r}")
+        if threshold is not None and not is_number(threshold):
+            raise SonarjaxError(f"threshold: expected a number or None, got {shown(threshold)}")
         self.recognizer, self.motion, self.config = recognizer, motion, config
         self.threshold, self.expect = threshold, expect
         self.numbers = numbers_of(motion, config)
@@ -207,8 +211,8 @@ class Tracker:
         """
         at = _sonar_numbers(sonar_pose)
         _check_elapsed(elapsed)
-        mean, covariance, _, _ = _predict(self.belief, jnp.asarray(at), jnp.float32(elapsed), self.numbers)
-        return modes_of(replace(self.belief, mean=mean, covariance=covariance))
+        later = _predict(self.belief, jnp.asarray(at), jnp.float32(elapsed), self.numbers)
+        return modes_of(replace(self.belief, mean=later.mean, covariance=later.covariance))
 
     def _starts(self, at: np.ndarray, elapsed: float) -> list[Pose]:
         """Poses at which the target is expected, in the frame of a sonar at `at` (3,)."""
@@ -246,6 +250,7 @@ def track(
             then give one belief, in that frame.
         masks: One mask (range, beam) for each frame, true where a pixel was measured; None means everywhere.
         times: When each frame was taken (frame,), in the unit of the motion's rates. By default frames are 1 apart.
+            After a gap in which the object may turn around, its yaw and rate are found anew.
         smooth: Let the belief of each frame use the later frames too.
         config: How frames are weighted.
         threshold, expect: As in `Tracker`.
@@ -260,6 +265,8 @@ def track(
     """
     images, masked, poses, elapsed = _checked(frames, masks, sonar_poses, times)
     tracker = Tracker(recognizer, motion, config=config, threshold=threshold, expect=expect)
+    if times is not None:
+        _check_unit(elapsed[1:], motion)
     found = [
         tracker(image, mask, sonar_pose=pose, elapsed=gap)
         for image, mask, pose, gap in zip(images, masked, poses, elapsed, strict=True)
@@ -313,6 +320,16 @@ def _checked(
             raise SonarjaxError(f"times: expected {len(images)} finite numbers that do not decrease")
         elapsed = [0.0, *np.diff(at).tolist()]
     return images, masked, poses, elapsed
+
+
+def _check_unit(elapsed: list[float], motion: Motion) -> None:
+    """Raise a SonarjaxError if an object may turn more than once around between most frames: the unit is wrong."""
+    typical = float(np.median(elapsed)) if elapsed else 0.0
+    if isinstance(motion, Turning) and motion.rate_std * typical > 2 * math.pi:
+        raise SonarjaxError(
+            f"times: frames are {shown(typical)} apart, in which a rate_std of {shown(motion.rate_std)} rad turns the "
+            "object more than once around; expected times in the unit of the motion's rates"
+        )
 
 
 def _poses(given: Any, count: int) -> list[Pose | None]:

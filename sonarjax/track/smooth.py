@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from sonarjax.exact import full_precision
-from sonarjax.track.belief import RATE, STATES, YAW, Belief, Numbers, predicted
+from sonarjax.track.belief import RATE, STATES, YAW, Belief, Numbers, on_circle, predicted
 from sonarjax.track.reduce import signed
 
 RIDGE = 1e-6
@@ -49,13 +49,18 @@ def run_smoother(beliefs: Belief, numbers: Numbers) -> Belief:
         parent = after.parent[which]
         added = after.fading * (added + after.gain[which])
         added = added - jax.scipy.special.logsumexp(added)
-        expected, spread, transition, noise = (
-            v[parent] for v in predicted(before, after.sonar, after.elapsed, numbers)
-        )
+        prediction = predicted(before, after.sonar, after.elapsed, numbers)
+        expected = jax.tree.map(lambda v: v[parent], prediction)
         smoothed = jax.vmap(_smoothed)(
-            before.mean[parent], before.covariance[parent], expected, spread, transition, mean, covariance
+            before.mean[parent],
+            before.covariance[parent],
+            expected.mean,
+            expected.covariance,
+            expected.cross,
+            mean,
+            covariance,
         )
-        traced_back = jax.vmap(_traced_back)(transition, noise, mean, covariance)
+        traced_back = jax.vmap(_traced_back)(expected.transition, expected.noise, mean, covariance)
         unknown = parent == 0  # the history had not begun here, so only later frames say anything about it
         new_mean, new_covariance = (
             jnp.where(unknown.reshape(-1, *[1] * (back.ndim - 1)), back, forth)
@@ -73,11 +78,11 @@ def run_smoother(beliefs: Belief, numbers: Numbers) -> Belief:
 
 @full_precision
 def _smoothed(
-    mean: Array, covariance: Array, expected: Array, spread: Array, transition: Array, mean_after: Array,
+    mean: Array, covariance: Array, expected: Array, spread: Array, cross: Array, mean_after: Array,
     covariance_after: Array,
 ) -> tuple[Array, Array]:  # fmt: skip
     ridge = RIDGE * jnp.diag(jnp.diag(spread)) + LEAST_VARIANCE * jnp.eye(STATES)
-    gain = jnp.linalg.solve(spread + ridge, transition @ covariance).T
+    gain = jnp.linalg.solve(spread + ridge, cross.T).T
     gap = (mean_after - expected).at[YAW].set(signed(mean_after[YAW] - expected[YAW]))
     return mean + gain @ gap, covariance + gain @ (covariance_after - spread) @ gain.T
 
@@ -87,4 +92,4 @@ def _traced_back(transition: Array, noise: Array, mean: Array, covariance: Array
     """The state before `mean`, if nothing else is known about the object; its shared errors stay as they are."""
     back = jnp.eye(STATES).at[YAW, RATE].set(-transition[YAW, RATE])
     drift = noise.at[4, 4].set(0.0)
-    return back @ mean, back @ (covariance + drift) @ back.T
+    return back @ mean, on_circle(back @ (covariance + drift) @ back.T)

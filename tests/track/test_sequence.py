@@ -119,6 +119,19 @@ def test_masks_reach_the_recognizer_and_times_stretch_the_rate():
     assert found_in.rate[-1] == pytest.approx(0.05, abs=0.005)
 
 
+@pytest.mark.parametrize("gap", [5.0, 5e3, 1e5])
+def test_after_a_gap_yaw_and_rate_are_found_anew(gap):
+    """However long the gap: a yaw that may have turned around many times is unknown, not widely spread."""
+    rate, times = math.radians(5.0), np.r_[0:8, 7 + gap : 15 + gap]
+    yaws = 1.0 + rate * times
+    for smooth in (False, True):
+        found_in = sj.track([frame(y % (2 * np.pi)) for y in yaws], Reader(), sj.Turning(), times=times, smooth=smooth)
+        assert off_deg(found_in.yaw[9:], yaws[9:]).max() < 1.0
+        assert off_deg(found_in.yaw[8], yaws[8]) < max(1.0, 2 * np.degrees(found_in.yaw_std[8]))
+        assert found_in.rate[10:] == pytest.approx(rate, abs=math.radians(0.5))
+        assert found_in.yaw_std.max() < math.pi
+
+
 def test_a_stream_is_the_log():
     frames = [frame(1.0 + 0.05 * k) for k in range(5)]
     tracker = sj.Tracker(Reader(), sj.Turning())
@@ -143,6 +156,9 @@ BAD = {
         (GOOD,), {"sonar_poses": replace(POSES, roll=POSES.x + 0.1)}, "sonar_pose: expected z, roll and pitch of 0",
     ),
     "times back": ((GOOD,), {"times": [1.0, 0.0]}, "times: expected 2 finite numbers that do not decrease"),
+    "times in another unit": (
+        ([frame(1.0)] * 3, ), {"motion": sj.Turning(), "times": [0.0, 1e5, 2e5]}, "times: frames are 100000.0 apart",
+    ),
     "times not finite": ((GOOD,), {"times": [0.0, np.nan]}, "times: expected 2 finite numbers"),
 }  # fmt: skip
 
@@ -162,6 +178,7 @@ def test_what_cannot_be_used_is_one_clear_line(case):
         (lambda: sj.Turning(rate_std=-1.0), "rate_std: expected a number of 0 or more, got -1"),
         (lambda: sj.Standing(yaw_drift=math.nan), "yaw_drift: expected a number"),
         (lambda: sj.TrackConfig(misses=1.0), "between 0 and 1"),
+        (lambda: sj.Tracker(Reader(), threshold=math.nan), "threshold: expected a number or None, got nan"),
         (lambda: sj.TrackConfig(softness=0.0), "expected positive numbers"),
         (lambda: sj.TrackConfig(components=1), "components: expected a whole number of 2 or more"),
         (lambda: sj.Tracker(Reader()).take(None, elapsed=-1.0), "elapsed: expected a time of 0 or more"),
