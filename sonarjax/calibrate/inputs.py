@@ -15,8 +15,9 @@ from sonarjax.io.given import check_kind, image_array, number_array, shown
 from sonarjax.render.fits import check_single
 from sonarjax.render.region import image_azimuth
 from sonarjax.render.simulate import check_sonar_alone
-from sonarjax.scene import Pose
+from sonarjax.scene import Mesh, Pose
 from sonarjax.scene.limits import check_pose
+from sonarjax.scene.standing import check_stands
 from sonarjax.sonar import Sonar
 from sonarjax.sonar.image import check_values
 
@@ -25,6 +26,12 @@ def check_kinds(mesh: Any, sonar: Any) -> None:
     """Raise a SonarjaxError unless these are one mesh and one sonar."""
     check_single(mesh, "mesh")
     check_sonar_alone(sonar)
+
+
+def check_standing(mesh: Mesh, poses: Pose | None) -> None:
+    """Raise a SonarjaxError if a mesh does not stand on the floor, and no pose says that it is lifted or leans."""
+    if poses is None or not any(np.any(np.asarray(v)) for v in (poses.z, poses.roll, poses.pitch)):
+        check_stands(mesh, "mesh")
 
 
 def check_frames(frames: Any, masks: Any, sonar: Sonar) -> tuple[list[np.ndarray], list[np.ndarray | None]]:

@@ -54,8 +54,8 @@ SIZES: dict[str, Parameter] = {
     name: Parameter(0.25, 0.08, "1") for name in ("object_length", "object_width", "object_height")
 }
 """The object's numbers that may be free instead, see `sonarjax.shape.fit_size`: its extents along x, y and z of
-its mesh, as the logarithm of their ratio to those of the mesh. The height grows from z = 0, where the object
-stands.
+its mesh, as the logarithm of their ratio to those of the mesh. The height grows from the mesh's lowest point, which
+stays where it is.
 """
 
 
@@ -135,4 +135,6 @@ def changed_mesh(mesh: Mesh, free: Sequence[str], change: Float[Array, "free"]) 
         return mesh
     by = {name: change[k] for k, name in enumerate(free)}
     grown = jnp.exp(jnp.stack([jnp.asarray(by.get(name, 0.0), jnp.float32) for name in SIZES]))
-    return mesh.with_vertices(jnp.asarray(mesh.vertices) * grown)
+    vertices = jnp.asarray(mesh.vertices)
+    base = vertices[..., 2].min() * jnp.array([0.0, 0.0, 1.0])
+    return mesh.with_vertices(base + (vertices - base) * grown)

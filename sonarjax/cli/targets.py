@@ -51,23 +51,34 @@ def _of_folder(folder: Path, option: str) -> list[str]:
     return [str(path) for path in found]
 
 
-def load_mesh(path: str, sonar: Any, args: argparse.Namespace) -> Any:
-    """Load a mesh and, if it is much finer than the sonar resolves, reduce it. A line on stderr tells of a reduction.
+def load_mesh(path: str, sonar: Any, args: argparse.Namespace, must_stand: bool = False) -> Any:
+    """Load a mesh, reduce it if it is much finer than the sonar resolves, and let it stand with `--stand`.
+
+    A line on stderr tells of a reduction, and of a mesh that does not stand on the floor.
 
     Args:
         path: The mesh file.
         sonar: The sonar.
         args: Parsed arguments, with the options of `add_mesh_options`.
+        must_stand: Refuse a mesh that does not stand on the floor, instead of a note.
 
     Raises:
-        SonarjaxError: The mesh cannot be read, or is too large for the sonar's view.
+        SonarjaxError: The mesh cannot be read, is too large for the sonar's view, or does not stand but must.
     """
     from sonarjax.render import check_fits, reduced_for  # not at the top of the file: JAX must be set up first
     from sonarjax.scene import Mesh
+    from sonarjax.scene.standing import REMEDY, check_stands, why_not_standing
 
     mesh = Mesh.load(path, args.unit_m)
     check_fits(mesh, sonar, path)
     found = reduced_for(mesh, sonar, args.mesh_tolerance)
     if found.after < found.before:
         complain(f"{path}: {found}; --mesh-tolerance 0 keeps all triangles", kind="note: ")
+    if args.stand:
+        return found.mesh.standing()
+    if must_stand:
+        check_stands(found.mesh, path)
+    problem = why_not_standing(found.mesh)
+    if problem is not None:
+        complain(f"{path}: its lowest point is not on the floor, {problem}: {REMEDY}", kind="note: ")
     return found.mesh

@@ -45,6 +45,7 @@ from sonarjax.io import SonarjaxError, make_folder, write_atomic, write_text
 from sonarjax.io.given import check_kind, is_text, is_whole, shown
 from sonarjax.render import check_fits
 from sonarjax.scene import Mesh, stack_meshes
+from sonarjax.scene.standing import check_over_origin
 from sonarjax.sensor import SensorModel
 from sonarjax.sonar import Sonar, range_edges_of
 
@@ -114,7 +115,8 @@ def make_dataset(
     shards together give the same files as a single run. On CPUs of the same kind, files are identical byte for byte.
 
     Args:
-        meshes: The meshes, by name.
+        meshes: The meshes, by name, each around its origin; their lowest points at z = 0, if they are to stand on the
+            floor (`Mesh.standing`).
         sonar: The sonar.
         folder: Where to write; must be missing, empty (but for hidden files), or hold a part of the same data set.
         count: Number of frames in the whole data set.
@@ -131,8 +133,9 @@ def make_dataset(
         True if the data set is complete, False if chunks of other shards are missing.
 
     Raises:
-        SonarjaxError: A setting is not allowed, `folder` is empty, a mesh is larger than the view, the sonar sees no
-            floor or its platform is out of view, or the folder holds something other than a part of the same data set.
+        SonarjaxError: A setting is not allowed, `folder` is empty, a mesh is larger than the view or beside its origin,
+            the sonar sees no floor or its platform is out of view, or the folder holds something other than a part of
+            the same data set.
     """
     _check(meshes, sonar, count, format, settings, shard, license)
     if not os.fspath(folder):
@@ -213,6 +216,7 @@ def _plan(
 ) -> Plan:
     for name, mesh in meshes.items():
         check_fits(mesh, sonar, name)
+        check_over_origin(mesh, name)
     azimuth = np.degrees(np.asarray(sonar.azimuth, np.float64))
     axes = Axes(azimuth, range_edges_of(sonar), tuple(meshes))
     data = key_numbers(key)

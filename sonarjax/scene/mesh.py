@@ -159,8 +159,7 @@ class Mesh:
             raise SonarjaxError(f"vertices: expected shape {self.vertices.shape}, got {tuple(vertices.shape)}")
         if any(isinstance(v, jax.core.Tracer) for v in (vertices, *jax.tree.leaves(self))):
             return replace(self, vertices=vertices)
-        if self.vertices.ndim != 2:
-            raise SonarjaxError(f"with_vertices: expected one mesh, got a batch of shape {self.vertices.shape[:-2]}")
+        self._check_alone("with_vertices")
         positions, faces, closed = np.asarray(vertices, np.float32), np.asarray(self.faces), bool(self.closed)
         if not np.isfinite(positions).all():
             raise SonarjaxError("vertices: hold NaN or infinite values")
@@ -175,6 +174,24 @@ class Mesh:
             faces=jnp.asarray(faces) if mirrored else self.faces,
             **_measured(positions, faces[real], closed),
         )
+
+    def standing(self) -> Mesh:
+        """Return the mesh moved so that it stands at its origin: the lowest point at z = 0, the middle at x = y = 0.
+
+        Poses place the origin, and `calibrate` and `fit_size` expect an object that stands on the floor. CAD programs
+        often put the origin elsewhere.
+
+        Returns:
+            The moved mesh; the middle is that of its extent along x and y.
+
+        Raises:
+            SonarjaxError: This is a stack of meshes.
+        """
+        self._check_alone("standing")
+        vertices = np.asarray(self.vertices)
+        low, high = vertices.min(axis=0), vertices.max(axis=0)
+        base = np.append((low + high)[:2] / 2, low[2]).astype(np.float32)
+        return self.with_vertices(jax.device_put(vertices - base))
 
     def with_room(self, crossings: int, front: int) -> Mesh:
         """Return the same mesh with room for more triangles in a slice and more that face the sonar.
@@ -194,6 +211,10 @@ class Mesh:
             crossings=max(self.crossings, _rounded(min(crossings, most), most)),
             front=max(self.front, _rounded(min(front, most), most)),
         )
+
+    def _check_alone(self, name: str) -> None:
+        if self.vertices.ndim != 2:
+            raise SonarjaxError(f"{name}: expected one mesh, got a batch of shape {self.vertices.shape[:-2]}")
 
     @property
     def n_faces(self) -> int:

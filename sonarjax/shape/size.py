@@ -14,7 +14,7 @@ import numpy as np
 
 from sonarjax.calibrate.detect import Prepared
 from sonarjax.calibrate.fit import FINE, Job, fit_frames, with_nominal_look
-from sonarjax.calibrate.inputs import check_frames, check_kinds, starts_of
+from sonarjax.calibrate.inputs import check_frames, check_kinds, check_standing, starts_of
 from sonarjax.calibrate.parameters import SIZES, changed_mesh, prior_std
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.refine.free import in_order
@@ -78,7 +78,8 @@ def fit_size(
 
     Args:
         frames: Grey frames (frame, range, beam).
-        mesh: The object's shape, in roughly its size.
+        mesh: The object's shape, in roughly its size; its lowest point at z = 0 (`Mesh.standing`), unless `poses` lift
+            or tilt it.
         sonar: The sonar.
         poses: Poses (frame,) that are right to a few centimetres and degrees, such as those from matching with the
             mesh.
@@ -94,14 +95,16 @@ def fit_size(
 
     Raises:
         SonarjaxError: There are no frames, their shapes do not fit the sonar, they are all the same, values are not
-            finite (also of poses), there is another number of poses or masks, the object is out of view, an extent does
-            not exist or is repeated, or a prior is no positive number or belongs to no free extent.
+            finite (also of poses), there is another number of poses or masks, the object is out of view or does not
+            stand on the floor, an extent does not exist or is repeated, or a prior is no positive number or belongs to
+            no free extent.
     """
     check_kinds(mesh, sonar)
     names = in_order(free, SIZES)
     std = prior_std(names, prior, sonar)
     images, measured = check_frames(frames, masks, sonar)
     starts = starts_of(poses, len(images), sonar)
+    check_standing(mesh, poses)
     prepared = [Prepared(image, mask, image) for image, mask in zip(images, measured, strict=True)]
     roomy = with_lean_room(mesh, poses, sonar)
     job = Job(prepared, roomy, sonar.replace(geometry_std=None), names, std, engine, progress)

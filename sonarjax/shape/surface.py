@@ -28,6 +28,8 @@ from sonarjax.refine.objective import Problem, box_around, make_blur, misfit
 from sonarjax.refine.solver import Search, best_template
 from sonarjax.refine.template import VIEWS, EchoLaw, Subject, nominal_law, render_layers, semantic_template
 from sonarjax.render import RenderQuality, WindowSize, place_window, plan_window
+from sonarjax.render.region import leaning_room
+from sonarjax.render.room import with_lean_room
 from sonarjax.scene import Mesh, Pose
 from sonarjax.sonar import Sonar
 
@@ -137,6 +139,7 @@ def fit_surface(
     if count > MOST_VERTICES:
         raise SonarjaxError(f"mesh: expected {MOST_VERTICES} vertices or fewer, got {count}")
     sonar = sonar.replace(geometry_std=None)
+    mesh = with_lean_room(mesh, poses, sonar)
     mesh = mesh.with_room(ROOM * mesh.crossings, mesh.n_faces)
     size = _window(mesh, sonar, starts)
     prepared = [
@@ -164,8 +167,11 @@ def fit_surface(
 
 
 def _window(mesh: Mesh, sonar: Sonar, starts: Sequence[Pose]) -> WindowSize:
-    """One window size for all frames, slightly larger than the first mesh needs."""
-    planned = [plan_window(mesh, sonar, float(np.hypot(s.x, s.y)), SLACK_M) for s in starts]
+    """One window size for all frames, slightly larger than the first mesh needs at its poses."""
+    planned = [
+        plan_window(leaning_room(mesh, s.z, abs(s.roll), abs(s.pitch)), sonar, float(np.hypot(s.x, s.y)), SLACK_M)
+        for s in starts
+    ]
     shape = tuple(max(p.shape[axis] for p in planned) for axis in (0, 1))
     return WindowSize((shape[0], shape[1]), shape[1])
 
@@ -228,7 +234,8 @@ def _problem(
     image: Array, mask: Array, pose: Pose, law: EchoLaw, mesh: Mesh, sonar: Sonar, first: Mesh, size: WindowSize
 ) -> Problem:
     """The comparison in the window around the `first` mesh."""
-    window = place_window(size, first, sonar, pose.x, pose.y, SLACK_M)
+    around = leaning_room(first, pose.z, abs(pose.roll), abs(pose.pitch))
+    window = place_window(size, around, sonar, pose.x, pose.y, SLACK_M)
     part, measured = (jax.lax.dynamic_slice(v, (window.row, window.column), size.shape) for v in (image, mask))
     echo, quality = jnp.int32(VIEWS["echo"]), RenderQuality(sub_beams=1)
     subject = Subject(mesh, sonar, pose, window, jnp.float32(0), echo, law, quality, ())

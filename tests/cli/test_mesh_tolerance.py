@@ -35,6 +35,23 @@ def test_small_meshes_are_not_mentioned(command, place, tmp_path):
         assert command("render", place / "brick.stl", *rest) == (0, "", "")
 
 
+def test_a_mesh_that_does_not_stand_is_noted_and_made_to(command, complaint, place, tmp_path):
+    low = tmp_path / "low.stl"
+    trimesh.load_mesh(place / "brick.stl").apply_translation([0.3, 0, -0.04]).export(low)
+    rest = ["--sonar", place / "sonar.toml", *HOW]
+    code, _, err = command("render", low, *rest, "--out", tmp_path / "e.npz")
+    assert code == 0 and err.count("\n") == 1
+    assert err.startswith(f"sonarjax: note: {low}: its lowest point is not on the floor, it is 0.04 m below: ")
+    assert command("render", low, *rest, "--stand", "--out", tmp_path / "f.npz") == (0, "", "")
+    assert command("render", place / "brick.stl", *rest, "--stand", "--out", tmp_path / "g.npz") == (0, "", "")
+    stood, usual = (np.load(tmp_path / name)["labels"] for name in ("f.npz", "g.npz"))
+    np.testing.assert_array_equal(stood, usual)
+    fit = ["calibrate", place / "a.npz", "--target", low, "--sonar", place / "sonar.toml", "--out", tmp_path / "f.toml"]
+    assert f"error: {low}: expected a mesh whose lowest point is at z = 0, it is 0.04 m below" in complaint(2, *fit)
+    frames = ["dataset", low, "--count", "1", "--sonar", place / "sonar.toml", "--out", tmp_path / "set"]
+    assert "low: expected a mesh around its origin" in command(*frames)[2]
+
+
 @pytest.mark.parametrize("given", ["-0.001", "nan", "inf", "far", "2"])
 def test_a_tolerance_that_is_no_length(complaint, place, tmp_path, given):
     out = tmp_path / "d.npz"

@@ -31,6 +31,7 @@ SONAR = sj.Sonar.preset("didson-hf", tilt=math.radians(20)).replace(
     azimuth=jnp.radians(jnp.linspace(-14.0, 14.0, SHAPE[1])), n_ranges=SHAPE[0]
 )
 MESHES = {"pile": sj.objects.target(), "other pile": sj.objects.non_target()}
+BESIDE = MESHES["pile"].with_vertices(MESHES["pile"].vertices + jnp.array([2.0, 0.0, 0.0]))
 OBJECTS = 3
 
 
@@ -364,6 +365,7 @@ def test_a_folder_of_something_else_is_refused(make, tmp_path):
         ({"sonar": SONAR.replace(tilt=-0.5)}, "sees no floor"),
         ({"sonar": SONAR.replace(range_min=0.1, range_max=0.2)}, "0.2 m"),
         ({"meshes": {"b\udcff": MESHES["pile"]}}, r"expected names as keys, got 'b\\udcff'"),
+        ({"meshes": {"pile": BESIDE}}, "pile: expected a mesh around its origin, got one around x 1.99 m"),
         ({"license": "\udcff"}, r"license: expected a text, got '\\udcff'"),
     ],
 )  # fmt: skip

@@ -44,6 +44,13 @@ def test_sizes_scale_each_axis_from_the_floor_up() -> None:
     assert changed_mesh(mesh, ("tilt",), jnp.ones(1)) is mesh
 
 
+def test_the_lowest_point_stays_where_the_pose_puts_it() -> None:
+    mesh = sj.Mesh.from_arrays(*box(BRICK_M, (0.0, 0.0, 0.0)))
+    grown = changed_mesh(mesh, ("object_height",), jnp.log(jnp.array([2.0])))
+    half = BRICK_M[2] / 2
+    np.testing.assert_allclose([grown.vertices[:, 2].min(), grown.vertices[:, 2].max()], [-half, 3 * half], rtol=1e-6)
+
+
 @pytest.mark.slow
 @pytest.mark.computes
 def test_sides_of_a_brick_are_found_within_a_range_bin(frames) -> None:
@@ -81,6 +88,10 @@ def other(frames: np.ndarray, poses: sj.Pose = POSES, **options: object) -> None
         (lambda: other(BLANK), "frames: expected different frames"),
         (lambda: other(DIFFERENT, sj.Pose(2.2, 0.0, YAWS[:3])), "poses: expected one for"),
         (lambda: other(DIFFERENT, sj.Pose(9.0, 0.0, YAWS)), r"poses\[0\]: expected the object in view"),
+        (
+            lambda: sj.fit_size(DIFFERENT, sj.Mesh.from_arrays(*box(BRICK_M, (0.0, 0.0, 0.0))), SONAR, POSES),
+            "mesh: expected a mesh whose lowest point is at z = 0, it is 0.0[0-9]+ m below: mesh.standing",
+        ),
         (lambda: other(BLANK, free=("depth",)), "free: .*unknown 'depth'"),
         (lambda: other(BLANK, free=()), "free: expected names"),
         (lambda: other(BLANK, prior={"tilt": 0.1}), "prior: 'tilt' is not among"),

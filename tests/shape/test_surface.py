@@ -11,10 +11,12 @@ import pytest
 
 import sonarjax as sj
 from sonarjax.engine import PLAIN
+from sonarjax.render import place_window
+from sonarjax.render.region import leaning_room
 from sonarjax.scene import objects
 from sonarjax.sensor import SensorModel, observe_scene
 from sonarjax.shape import SurfaceConfig
-from sonarjax.shape.surface import _begun, _by_vertices, _descend, _Frame, _touched, _window, uniform_laplacian
+from sonarjax.shape.surface import SLACK_M, _begun, _by_vertices, _descend, _Frame, _touched, _window, uniform_laplacian
 
 SONAR = sj.Sonar.preset("didson-hf", tilt=math.radians(20.0))
 YAWS = np.radians([0.0, 90.0, 180.0, 270.0])
@@ -93,6 +95,21 @@ def test_gradient_adds_up_to_what_the_cost_rises_by(frames) -> None:
         along = np.array([(slope * bend).sum() for slope in slopes])
         risen = (along[1:] + along[:-1]).sum() / 2 * (steps[1] - steps[0])
         assert risen == pytest.approx(values[-1] - values[0], rel=0.3, abs=2e-3)
+
+
+@pytest.mark.parametrize("lean", [{"z": 0.2}, {"roll": 1.5}, {"z": 0.2, "pitch": -1.2}])
+def test_the_window_holds_a_body_that_hangs_or_leans(lean) -> None:
+    mesh = sj.Mesh.from_arrays(*objects.box((0.06, 0.06, 0.5), (0.0, 0.0, 0.25)))
+    pose = sj.Pose(2.2, 0.0, 0.3, **lean)
+    size = _window(mesh, SONAR, [pose])
+    window = place_window(
+        size, leaning_room(mesh, pose.z, abs(pose.roll), abs(pose.pitch)), SONAR, pose.x, pose.y, SLACK_M
+    )
+    seen = np.asarray(sj.render(mesh, pose, SONAR).labels()) > 0
+    rows, columns = (np.flatnonzero(seen.any(axis=axis)) for axis in (1, 0))
+    assert seen.sum() > 50
+    assert window.row <= rows[0] and rows[-1] < window.row + size.shape[0]
+    assert window.column <= columns[0] and columns[-1] < window.column + size.shape[1]
 
 
 @pytest.mark.slow
