@@ -207,7 +207,8 @@ class CpuEngine(Engine):
             yield
         except BaseException as error:
             self._programs.pop(key, None)
-            program.set_exception(error)
+            if not program.done():  # an interrupt may come after the result
+                program.set_exception(error)
             if not isinstance(error, Exception):
                 raise
 

@@ -102,6 +102,7 @@ class Recognizer:
         """
         check_sonar_alone(sonar)
         check_kind(search, SearchConfig, "search")
+        check_kind(engine, Engine, "engine")
         if refine is not None and not isinstance(refine, RefineConfig):
             raise SonarjaxError(f"refine: expected a RefineConfig, or None for no refinement, got {refine!r}")
         named = _named(targets)

@@ -44,6 +44,7 @@ to_polar, to_fan, fan = sj.io.fan_to_polar, sj.io.polar_to_fan, sj.io.fan_around
 edges, out, key = np.linspace(2, 3, 65), path + ".set", jax.random.key(0)
 make = lambda meshes={"a": m}, sonar=s, count=4, key=key, **o: make_dataset(meshes, sonar, out, count, key=key, **o)
 crops, labels = np.full((2, 128, 128), 0.5), np.zeros((2, 128, 128), int)
+holed = np.where(np.arange(im.size).reshape(im.shape) == 500, np.nan, im)
 found = {}
 for call in json.load(sys.stdin):
     try:
@@ -121,7 +122,7 @@ CASES = {
     "sj.fit_surface([im], m, s, sj.Pose(x=[2.3]), config={'iterations': 1})": "config: expected a SurfaceConfig, got a",
     "sj.PoseFinder(m, s, segmenter='none', error_bar='x')": "error_bar: expected a PoseErrorBar, got 'x'",
     "sj.PoseFinder(m, s, segmenter='none').views([im, im[:9]], both)": "image: expected ",
-    "make_dataset({'a': m}, s, '', 3, key=key)": "folder: expected a path, got an empty text",
+    "make_dataset({'a': m}, s, '', 3, key=key)": "folder: expected a path, got ''",
     "make_pairs(2.5, key=key)": "count: expected a whole number of 1 or more, got 2.5",
     "make_pairs('3', key=key)": "count: expected a whole number of 1 or more, got '3'",
     "make_pairs(1, key=3)": f"{KEY}3",
@@ -288,6 +289,35 @@ CASES = {
     "sj.fit_size([im], m, s, p, prior=0.1)": "prior: expected standard deviations by name, got 0.1",
     "sj.fit_size([im], m, s, p, masks=True)": "masks: expected a sequence of images (range, beam), got True",
     "sj.fit_size([im], m, s, p, masks=['a'])": "masks[0]: expected numbers, got 'a'",
+    # Images that are none
+    "sj.recognize(frame.labels() + 1, m, s)": "image: expected values in [0, 1], got whole numbers from ",
+    "sj.recognize(im, m, s, semantic=2 * (im > 0), threshold=0.5)": "semantic: expected values in [0, 1], got whole ",
+    "sj.refine_yaw(holed, m, s, p)": "image: holds NaN or infinite values: a mask says which pixels were measured",
+    "sj.refine_yaw(holed, m, s, p, mask=np.isfinite(holed)).yaw.shape": "no error: ()",
+    "sj.refine_pose(np.stack([im, holed]), m, s, p, sonar_poses=both)": "image: holds NaN or infinite values",
+    "sj.match_bank(holed, np.eye(8)[None])": "image: holds NaN or infinite values",
+    "sj.match_positions(holed, np.eye(8)[None], mask=im > 0)": "image: holds NaN or infinite values",
+    "sj.match_bank(holed, np.eye(8)[None], mask=np.isfinite(holed)).shape": "no error: (1,)",
+    "sj.segment(holed, network.weights)": "image: holds NaN or infinite values",
+    "sj.load_segmenter('otsu').labels(holed)": "image: holds NaN or infinite values",
+    "sj.calibrate([im], m.standing(), s)": "frames: expected at least one that shows something, each is of one",
+    # Something else in place of an engine
+    "sj.Recognizer(m, s, segmenter='none', engine='cpu')": "engine: expected an Engine, got 'cpu'",
+    "sj.PoseFinder(m, s, segmenter='none', engine='cpu')": "engine: expected an Engine, got 'cpu'",
+    "sj.calibrate([im], m, s, engine='cpu')": "engine: expected an Engine, got 'cpu'",
+    "sj.fit_size([im], m, s, p, engine='cpu')": "engine: expected an Engine, got 'cpu'",
+    "sj.fit_surface([im], m, s, p, engine='cpu')": "engine: expected an Engine, got 'cpu'",
+    "sj.refine_yaw(im, m, s, p, engine='cpu')": "engine: expected an Engine, got 'cpu'",
+    "sj.refine_pose(im[None], m, s, p, sonar_poses=sj.Pose([0.0]), engine=0)": "engine: expected an Engine, got 0",
+    "bank(engine='cpu')": "engine: expected an Engine, got 'cpu'",
+    "make(engine='cpu')": "engine: expected an Engine, got 'cpu'",
+    "make_pairs(1, key=key, engine='cpu')": "engine: expected an Engine, got 'cpu'",
+    "train(smoke, out, engine='cpu')": "engine: expected an Engine, got 'cpu'",
+    # Sonars
+    "make(sonar=tilted)": "sonar: expected one sonar, got a batch",
+    "make_dataset({'a': m}, s, None, 3, key=key)": "folder: expected a path, got None",
+    "sj.Sonar.from_toml(None)": "path: expected that of a TOML file, got None",
+    "sj.Recognizer(m, s.replace(azimuth=[0.0, 0.1]), segmenter='none')": "sonar: azimuth: expected an array (beam,), ",
     # Lists in place of tuples
     "[listed.blurs, listed.margin, hash(listed) == hash(replace(listed))]": "no error: [(3.0, 1.0), (8, 2), True]",
     "hash(sj.SurfaceConfig(blurs=[3, 1])) == hash(sj.SurfaceConfig(blurs=(3.0, 1.0)))": "no error: True",

@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import threading
+from concurrent.futures import Future
 from functools import partial
 from pathlib import Path
 
@@ -219,3 +220,12 @@ def test_a_freed_block_is_used_again_without_faults() -> None:
     if said == "False":
         pytest.skip("not glibc")
     assert count < 0.4 * without  # once for the first of five blocks, with pages of any size
+
+
+def test_an_interrupt_after_the_result_is_the_interrupt(tmp_path):
+    """A program that is known already cannot fail any more, but the caller still hears of the interrupt."""
+    engine, program = cpu.CpuEngine(tmp_path), Future()
+    with pytest.raises(KeyboardInterrupt), engine._told("key", program):
+        program.set_result(sum)
+        raise KeyboardInterrupt
+    assert program.result() is sum

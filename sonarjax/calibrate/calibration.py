@@ -14,7 +14,7 @@ import numpy as np
 from sonarjax.calibrate.covariance import Certainty
 from sonarjax.calibrate.detect import Prepared, best_height, detect
 from sonarjax.calibrate.fit import FINE, Job, fit_frames, with_nominal_look
-from sonarjax.calibrate.inputs import check_frames, check_kinds, check_standing, starts_of
+from sonarjax.calibrate.inputs import check_frames, check_kinds, check_not_blank, check_standing, starts_of
 from sonarjax.calibrate.look import Look, sensor_of
 from sonarjax.calibrate.parameters import INCIDENCE, INCIDENCE_DEG, changed_sonar, check_free, prior_std
 from sonarjax.calibrate.solver import Fit
@@ -141,14 +141,14 @@ def calibrate(
         The fitted sonar, device and poses, with how certain the free numbers are and which frames were used.
 
     Raises:
-        SonarjaxError: There are no frames, their shapes do not fit the sonar, they are all the same, values are not
-            finite (also of poses), there is another number of poses or masks, the target is out of view at a given
-            pose, the mesh does not stand on the floor, a free number does not exist or is repeated, a prior is not
-            positive or belongs to no free number, `range_offset` is free and the window begins too near the sonar,
+        SonarjaxError: There are no frames, their shapes do not fit the sonar, they are all the same or blank, values
+            are not finite (also of poses), there is another number of poses or masks, the target is out of view at a
+            given pose, the mesh does not stand on the floor, a free number does not exist or is repeated, a prior is
+            not positive or belongs to no free number, `range_offset` is free and the window begins too near the sonar,
             there is no such segmenter, the sonar sees no floor on which the target can stand, the picture has no finite
             derivatives where the fit begins, or the target is found in none of the frames.
     """
-    check_kinds(mesh, sonar)
+    check_kinds(mesh, sonar, engine)
     check_kind(search, SearchConfig, "search")
     names = check_free(free)
     std = prior_std(names, prior, sonar)
@@ -157,6 +157,7 @@ def calibrate(
     images, measured = check_frames(frames, masks, sonar)
     starts = None if poses is None else starts_of(poses, len(images), sonar)
     check_standing(mesh, poses)
+    check_not_blank(images, measured)
     if poses is not None and starts is not None:
         prepared = [Prepared(image, mask, image) for image, mask in zip(images, measured, strict=True)]
         roomy = with_lean_room(mesh, poses, sonar)

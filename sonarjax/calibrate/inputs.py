@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import jax
 import numpy as np
 
+from sonarjax.engine import Engine
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.given import check_kind, image_array, number_array, shown
 from sonarjax.render.fits import check_single
@@ -22,9 +23,10 @@ from sonarjax.sonar import Sonar
 from sonarjax.sonar.image import check_values
 
 
-def check_kinds(mesh: Any, sonar: Any) -> None:
-    """Raise a SonarjaxError unless these are one mesh and one sonar."""
+def check_kinds(mesh: Any, sonar: Any, engine: Any) -> None:
+    """Raise a SonarjaxError unless these are one mesh, one sonar and an engine."""
     check_single(mesh, "mesh")
+    check_kind(engine, Engine, "engine")
     check_sonar_alone(sonar)
 
 
@@ -64,6 +66,12 @@ def check_frames(frames: Any, masks: Any, sonar: Sonar) -> tuple[list[np.ndarray
         raise SonarjaxError(f"frames: expected different frames, all {len(images)} are the same")
     filled = [i if m is None else np.where(m, i, 0.0) for i, m in zip(images, measured, strict=True)]
     return [i.astype(np.float32) for i in filled], measured
+
+
+def check_not_blank(images: Sequence[np.ndarray], measured: Sequence[np.ndarray | None]) -> None:
+    """Raise a SonarjaxError if no frame (range, beam) shows anything: a fit of it would settle at once."""
+    if all(np.ptp(image if mask is None else image[mask]) == 0 for image, mask in zip(images, measured, strict=True)):
+        raise SonarjaxError("frames: expected at least one that shows something, each is of one grey alone")
 
 
 def starts_of(poses: Pose, count: int, sonar: Sonar) -> list[Pose]:

@@ -2,8 +2,9 @@
 
 Exit codes: 0 done, identified or not; 1 a frame could not be read or used (the batch goes on); 2 arguments, mesh, TOML
 or output that cannot be used; 130 interrupted; 141 the program that read the output has gone. A wrong input gives one
-line on stderr. What only one command needs, such as drawing and training, is imported after its arguments are known to
-be good. Angles are in degrees here, inside in radians. Each command has a file here: `add` says what its arguments are,
+line on stderr. Only while Python still loads the libraries, in the first seconds, may an interrupt show a traceback or
+go unnoticed. What only one command needs, such as drawing and training, is imported after its arguments are known to be
+good. Angles are in degrees here, inside in radians. Each command has a file here: `add` says what its arguments are,
 `run` does it.
 """
 

@@ -44,6 +44,7 @@ from sonarjax.engine import PLAIN, Engine
 from sonarjax.io import SonarjaxError, make_folder, write_atomic, write_text
 from sonarjax.io.given import check_kind, is_text, is_whole, shown
 from sonarjax.render import check_fits
+from sonarjax.render.simulate import check_sonar_alone
 from sonarjax.scene import Mesh, stack_meshes
 from sonarjax.scene.standing import check_over_origin
 from sonarjax.sensor import SensorModel
@@ -138,8 +139,9 @@ def make_dataset(
             the same data set.
     """
     _check(meshes, sonar, count, format, settings, shard, license)
-    if not os.fspath(folder):
-        raise SonarjaxError("folder: expected a path, got an empty text")
+    check_kind(engine, Engine, "engine")
+    if not isinstance(folder, str | os.PathLike) or not os.fspath(folder):
+        raise SonarjaxError(f"folder: expected a path, got {shown(folder)}")
     plan = _plan(meshes, sonar, int(count), key, format, settings)
     target = Path(folder)
     facts = _facts(plan, meshes, license)
@@ -198,7 +200,7 @@ def _check(meshes: Any, sonar: Any, count: Any, format: Any, settings: Any, shar
         if not is_text(name):
             raise SonarjaxError(f"meshes: expected names as keys, got {shown(name)}")
         check_kind(mesh, Mesh, f"meshes[{name!r}]")
-    check_kind(sonar, Sonar, "sonar")
+    check_sonar_alone(sonar)
     if not (is_whole(count) and 1 <= count <= MOST_FRAMES):
         raise SonarjaxError(f"count: expected a whole number from 1 to {MOST_FRAMES}, got {shown(count)}")
     if not (isinstance(format, str) and format in FORMATS):

@@ -141,6 +141,7 @@ def make_pairs(
     check_whole(first, 0, "first")
     check_kind(settings, PairSettings, "settings")
     key_numbers(key)  # raises if it is no key
+    check_kind(engine, Engine, "engine")
     size = CHUNK if jax.default_backend() == "cpu" else VMAPPED
     starts = list(range(first, first + count, size))
 

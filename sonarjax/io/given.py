@@ -37,7 +37,7 @@ def check_kind(value: Any, kind: type, name: str) -> None:
     """Raise a SonarjaxError unless `value` is a `kind`; `name` is what the message calls it."""
     if not isinstance(value, kind):
         made = MADE_BY.get(kind.__name__)
-        expected = f"a {kind.__name__}" + (f" ({made})" if made else "")
+        expected = _with_article(kind.__name__) + (f" ({made})" if made else "")
         raise SonarjaxError(f"{name}: expected {expected}, got {shown(value)}")
 
 
@@ -125,4 +125,8 @@ def shown(value: Any) -> str:
         text = repr(value.item() if isinstance(value, np.generic) else value)
         return text if len(text) <= SHOWN else f"{text[:SHOWN]}…"
     kind = type(value).__name__
-    return f"{'an' if kind[0].lower() in 'aeiou' else 'a'} {kind}"
+    return _with_article(kind)
+
+
+def _with_article(noun: str) -> str:
+    return f"{'an' if noun[0].lower() in 'aeiou' else 'a'} {noun}"

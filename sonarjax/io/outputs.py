@@ -24,8 +24,8 @@ def check_outputs(outputs: Mapping[str, str | None], inputs: Iterable[str]) -> N
         inputs: Paths, or frames as `path:N`.
 
     Raises:
-        SonarjaxError: An output is empty, a folder, or in a folder that does not exist; or it would replace an input or
-            another output, or lie in an input's folder.
+        SonarjaxError: An output is empty, a folder, or in a folder that does not exist or may not be written in; or it
+            would replace an input or another output, or lie in an input's folder.
     """
     given = [(option, path) for option, path in outputs.items() if path is not None]
     sources = [split_spec(spec).path for spec in inputs]
@@ -50,6 +50,8 @@ def _check_file(option: str, path: str) -> None:
         raise SonarjaxError(f"{option}: {path!r}: expected a file, this is a folder")
     if not os.path.isdir(folder):
         raise SonarjaxError(f"{option}: {path!r} cannot be written: expected a folder that exists, got {folder!r}")
+    if not os.access(path if _is_device(path) else folder, os.W_OK):  # files are replaced, so their folder counts
+        raise SonarjaxError(f"{option}: {path!r} cannot be written: no permission to write in {folder!r}")
 
 
 def check_ending(option: str, path: str | None, endings: Sequence[str]) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.files import read_bytes
+from sonarjax.io.given import shown
 from sonarjax.io.nesting import check_nesting
 
 TOML_LIMIT = 16 * 2**20
@@ -46,7 +47,10 @@ def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
         The document, with tables as dicts.
 
     Raises:
-        SonarjaxError: The file is missing, a folder, a device, unreadable or too large, or `parse_toml` refuses it.
+        SonarjaxError: `path` is no path; or the file is missing, a folder, a device, unreadable or too large, or
+            `parse_toml` refuses it.
     """
+    if not isinstance(path, str | os.PathLike):
+        raise SonarjaxError(f"path: expected that of a TOML file, got {shown(path)}")
     name = os.fspath(path)
     return parse_toml(read_bytes(name, allow_empty=True, limit=TOML_LIMIT), name)

@@ -33,6 +33,7 @@ from sonarjax.match.spectra import (
 )
 from sonarjax.match.windows import window_moments
 from sonarjax.records import record
+from sonarjax.sonar.image import check_finite
 
 AnyArray = Array | np.ndarray
 
@@ -98,7 +99,7 @@ def match_bank(
         Scores (yaw,) from -1 to 1.
 
     Raises:
-        SonarjaxError: Shapes do not fit, or something else than numbers is given.
+        SonarjaxError: Shapes do not fit, a measured pixel is not finite, or something else than numbers is given.
     """
     return _match(image, bank, mask, template_mask, min_valid, _best_score)
 
@@ -128,7 +129,7 @@ def match_positions(
         `scores` (yaw,) from -1 to 1, and the top-left corner of each best window: `row` (yaw,) and `col` (yaw,).
 
     Raises:
-        SonarjaxError: Shapes do not fit, or something else than numbers is given.
+        SonarjaxError: Shapes do not fit, a measured pixel is not finite, or something else than numbers is given.
     """
     return _match(image, bank, mask, template_mask, min_valid, best_position, penalise_unmeasured)
 
@@ -154,7 +155,7 @@ def correlation_maps(
         Correlations (yaw, row, col) from -1 to 1, at range − h + 1 by beam − w + 1 positions.
 
     Raises:
-        SonarjaxError: Shapes do not fit, or something else than numbers is given.
+        SonarjaxError: Shapes do not fit, a measured pixel is not finite, or something else than numbers is given.
     """
     return _match(image, bank, mask, template_mask, min_valid, _complete_map)
 
@@ -172,9 +173,11 @@ def _match(
     image, templates = jnp.asarray(image, jnp.float32), _templates(bank)
     shape = tuple(image.shape)
     check_shapes(templates.shape, shape)
+    mask = None if mask is None else _as_mask("mask", mask, shape)
+    check_finite(image, mask, "image")
     if template_mask is not None:
         template_mask = _as_mask("template_mask", template_mask, tuple(templates.shape))
-        valid = jnp.ones(shape, bool) if mask is None else _as_mask("mask", mask, shape)
+        valid = jnp.ones(shape, bool) if mask is None else mask
         return _match_weighted(image, templates, valid, template_mask, min_valid, reduce)
     spectra = getattr(bank, "spectra", None)
     if spectra is not None and (spectra.yaw_count, *spectra.template_shape) != templates.shape[-3:]:
@@ -183,7 +186,7 @@ def _match(
         spectra = _spectra(templates, shape, mask is not None)
     if mask is None:
         return _match_plain(image, spectra, reduce)
-    return _match_masked(image, spectra, _as_mask("mask", mask, shape), min_valid, reduce, penalise_unmeasured)
+    return _match_masked(image, spectra, mask, min_valid, reduce, penalise_unmeasured)
 
 
 def _templates(bank: Any) -> Array:

@@ -162,6 +162,7 @@ class TargetSearch:
             raise SonarjaxError(f"decimation: expected {limit}, got {config.decimation}")
         check_sonar_alone(sonar)
         check_sonar(sonar, "sonar")  # `Sonar.replace` does not
+        check_kind(engine, Engine, "engine")
         check_fits(mesh, sonar, name)
         self.mesh, self.sonar, self.config, self.name, self.engine = mesh, sonar, config, name, engine
         self.compact = compact

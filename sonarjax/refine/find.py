@@ -93,6 +93,7 @@ class PoseFinder:
         check_kind(sonar, Sonar, "sonar")
         for name, config, kind in (("search", search, SearchConfig), ("lean", lean, LeanSearchConfig)):
             check_kind(config, kind, name)
+        check_kind(engine, Engine, "engine")
         if error_bar is not None:
             check_kind(error_bar, PoseErrorBar, "error_bar")
         self.free, self.refine, self.engine = check_free(free), refine, engine

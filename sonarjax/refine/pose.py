@@ -33,6 +33,7 @@ from sonarjax.render.simulate import one_by_one
 from sonarjax.scene import Mesh, Pose
 from sonarjax.scene.limits import check_pose
 from sonarjax.sonar import Sonar
+from sonarjax.sonar.image import check_finite
 
 
 @record
@@ -118,9 +119,9 @@ def refine_pose(
         The estimate, in the batch shape of `start`.
 
     Raises:
-        SonarjaxError: An argument is of another kind, the shapes do not fit the sonar, or `free` is empty or has an
-            unknown or repeated name. For views also if there is not one of `sonar_poses` for each, one of them leans,
-            or something is traced.
+        SonarjaxError: An argument is of another kind, the shapes do not fit the sonar, a measured pixel is not finite,
+            or `free` is empty or has an unknown or repeated name. For views also if there is not one of `sonar_poses`
+            for each, one of them leans, or something is traced.
     """
     names = check_free(free)
     if sonar_poses is not None:
@@ -136,11 +137,13 @@ def _refine_views(
     if is_traced(images, mask, mesh, sonar, start, sonar_poses):
         raise SonarjaxError("sonar_poses: expected no traced values, because views are refined on the host")
     _check_given(mesh, sonar, start, config)
+    check_kind(engine, Engine, "engine")
     images = np.asarray(image_array(images, "image"), np.float32)
     sonars = check_views(images, sonar_poses, start, sonar)
     weights = np.asarray(np.ones(images.shape) if mask is None else number_array(mask, "mask"), np.float32)
     if weights.shape != images.shape:
         raise SonarjaxError(f"mask: expected the images' shape {images.shape}, got {weights.shape}")
+    check_finite(images, weights, "image")
     images = np.where(weights > 0, images, np.float32(0))  # what was not measured may be NaN
     starts = jax.tree.map(lambda v: np.atleast_1d(np.asarray(v)), start)
     places = [in_view(starts, one) for one in sonars]
@@ -172,6 +175,7 @@ def search_pose(
     observable.
     """
     _check_given(mesh, sonar, start, config)
+    check_kind(engine, Engine, "engine")
     traced = is_traced(image, mask, mesh, sonar, start)
     array = jnp if traced else np  # NumPy slices and joins on the host without compiling anything
     image = array.asarray(image if traced else image_array(image, "image"), np.float32)
@@ -181,6 +185,7 @@ def search_pose(
     weight = array.asarray(mask if traced else number_array(mask, "mask"), np.float32)
     if weight.shape != image.shape:
         raise SonarjaxError(f"mask: expected the image's shape {image.shape}, got {weight.shape}")
+    check_finite(image, weight, "image")
     image = array.where(weight > 0, image, np.float32(0))  # what was not measured may be NaN
     frames, axes = image.ndim - 2, start.shape
     if len(axes) not in (frames, frames + 1) or axes[:frames] != image.shape[:frames]:

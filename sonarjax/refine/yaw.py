@@ -81,7 +81,8 @@ def refine_yaw(
         The estimate, in the batch shape of `start`.
 
     Raises:
-        SonarjaxError: An argument is of another kind, or the shapes do not fit the sonar.
+        SonarjaxError: An argument is of another kind, the shapes do not fit the sonar, or a measured pixel is not
+            finite.
     """
     return refine_and_draw(image, mesh, sonar, start, mask, config, window, engine)[0]
 

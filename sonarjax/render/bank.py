@@ -113,6 +113,7 @@ def template_bank(
         OutOfViewError: The object is outside the sonar's view.
     """
     _check_given(mesh, sonar, quality, margin, {"x": x, "y": y})
+    check_kind(engine, Engine, "engine")
     if size is not None:
         check_kind(size, WindowSize, "size")
     check_reflectivity(mesh, "mesh")

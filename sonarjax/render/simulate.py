@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.io.given import check_kind, listed
+from sonarjax.io.given import check_kind, listed, shown
 from sonarjax.render.frame import RenderQuality, SonarFrame, Window
 from sonarjax.render.window import render_window
 from sonarjax.scene import Mesh, Pose
@@ -97,6 +97,9 @@ def single_scene(mesh: Mesh | Sequence[Mesh], pose: Pose | Sequence[Pose]) -> tu
 def check_sonar_alone(sonar: Sonar) -> None:
     """Raise a SonarjaxError for a batch of sonars, or for anything that is no sonar."""
     check_kind(sonar, Sonar, "sonar")
+    azimuth: Any = sonar.azimuth
+    if isinstance(azimuth, list | tuple):
+        raise SonarjaxError(f"sonar: azimuth: expected an array (beam,), got {shown(azimuth)}")
     if sum(np.ndim(number) for number in jax.tree.leaves(sonar)) != 1:  # of `azimuth`
         raise SonarjaxError("sonar: expected one sonar, got a batch: use jax.vmap")
 

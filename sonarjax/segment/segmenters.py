@@ -58,7 +58,7 @@ class Segmenter:
             Map (range, beam): shadow 0, background 0.5, highlight 1. Where a network is unsure, values lie between.
 
         Raises:
-            SonarjaxError: The image is not one frame, or the mask has another shape.
+            SonarjaxError: The image is not one frame, a measured pixel is not finite, or the mask has another shape.
         """
         check_frame(image, mask)
         if self.weights is not None:
@@ -81,7 +81,7 @@ class Segmenter:
             Labels (range, beam): 0 background, 1 highlight, 2 shadow.
 
         Raises:
-            SonarjaxError: The image is not one frame, or the mask has another shape.
+            SonarjaxError: The image is not one frame, a measured pixel is not finite, or the mask has another shape.
         """
         check_frame(image, mask)
         if self.weights is None:

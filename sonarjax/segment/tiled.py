@@ -22,6 +22,7 @@ from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.given import check_kind, image_array, number_array
 from sonarjax.segment.objects import find_objects
 from sonarjax.segment.weights import GeneratorWeights, segment_patch
+from sonarjax.sonar.image import check_finite
 
 TILE = TRAINING_FRAME
 """Largest size of a tile (range, beam) [pixels]."""
@@ -71,8 +72,8 @@ def segment(
         Map (range, beam): shadow 0, background 0.5, highlight 1.
 
     Raises:
-        SonarjaxError: The image is not one frame, the mask has another shape, `weights` is something else, or JAX is in
-            its 64-bit mode.
+        SonarjaxError: The image is not one frame, a measured pixel is not finite, the mask has another shape, `weights`
+            is something else, or JAX is in its 64-bit mode.
     """
     check_single_precision()
     check_kind(weights, GeneratorWeights, "weights")
@@ -83,7 +84,7 @@ def segment(
 def check_frame(image: Any, mask: Any = None) -> None:
     """Raise a SonarjaxError unless an image is one frame of numbers (range, beam), and a mask has its shape.
 
-    Only types and shapes are looked at, so traced values pass.
+    Measured pixels must be finite. Of traced values only types and shapes are looked at.
     """
     if not isinstance(image, jax.Array):
         image_array(image, "image")
@@ -93,6 +94,7 @@ def check_frame(image: Any, mask: Any = None) -> None:
         raise SonarjaxError(f"image: expected one frame (range, beam), got shape {np.shape(image)}")
     if mask is not None and np.shape(mask) != np.shape(image):
         raise SonarjaxError(f"mask: expected the image's shape {np.shape(image)}, got {np.shape(mask)}")
+    check_finite(image, mask, "image")
 
 
 @partial(jax.jit, static_argnames=("closer", "tile"))

@@ -14,7 +14,7 @@ import numpy as np
 
 from sonarjax.calibrate.detect import Prepared
 from sonarjax.calibrate.fit import FINE, Job, fit_frames, with_nominal_look
-from sonarjax.calibrate.inputs import check_frames, check_kinds, check_standing, starts_of
+from sonarjax.calibrate.inputs import check_frames, check_kinds, check_not_blank, check_standing, starts_of
 from sonarjax.calibrate.parameters import SIZES, changed_mesh, prior_std
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.refine.free import in_order
@@ -94,17 +94,18 @@ def fit_size(
         The mesh with the fitted extents (3,) [m], how certain these are, and the object's pose in each frame [m, rad].
 
     Raises:
-        SonarjaxError: There are no frames, their shapes do not fit the sonar, they are all the same, values are not
-            finite (also of poses), there is another number of poses or masks, the object is out of view or does not
-            stand on the floor, an extent does not exist or is repeated, or a prior is no positive number or belongs to
-            no free extent.
+        SonarjaxError: There are no frames, their shapes do not fit the sonar, they are all the same or blank, values
+            are not finite (also of poses), there is another number of poses or masks, the object is out of view or does
+            not stand on the floor, an extent does not exist or is repeated, or a prior is no positive number or belongs
+            to no free extent.
     """
-    check_kinds(mesh, sonar)
+    check_kinds(mesh, sonar, engine)
     names = in_order(free, SIZES)
     std = prior_std(names, prior, sonar)
     images, measured = check_frames(frames, masks, sonar)
     starts = starts_of(poses, len(images), sonar)
     check_standing(mesh, poses)
+    check_not_blank(images, measured)
     prepared = [Prepared(image, mask, image) for image, mask in zip(images, measured, strict=True)]
     roomy = with_lean_room(mesh, poses, sonar)
     job = Job(prepared, roomy, sonar.replace(geometry_std=None), names, std, engine, progress)

@@ -19,7 +19,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float
 
-from sonarjax.calibrate.inputs import check_frames, check_kinds, starts_of
+from sonarjax.calibrate.inputs import check_frames, check_kinds, check_not_blank, starts_of
 from sonarjax.calibrate.solver import BOUNCE
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
@@ -126,14 +126,15 @@ def fit_surface(
         The mesh with fitted vertices (vertex, 3) [m], how far each moved, and the correlation with the frames.
 
     Raises:
-        SonarjaxError: There are no frames, their shapes do not fit the sonar, they are all the same, values are not
-            finite (also of poses), there is another number of poses or masks, the body is out of view, the mesh has too
-            many vertices, or `config` is something else.
+        SonarjaxError: There are no frames, their shapes do not fit the sonar, they are all the same or blank, values
+            are not finite (also of poses), there is another number of poses or masks, the body is out of view, the mesh
+            has too many vertices, or `config` is something else.
     """
-    check_kinds(mesh, sonar)
+    check_kinds(mesh, sonar, engine)
     check_kind(config, SurfaceConfig, "config")
     images, measured = check_frames(frames, masks, sonar)
     starts = starts_of(poses, len(images), sonar)
+    check_not_blank(images, measured)
     vertices = np.asarray(mesh.vertices, np.float64)
     count = len(_touched(np.asarray(mesh.faces)))
     if count > MOST_VERTICES:

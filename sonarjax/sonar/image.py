@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -12,6 +13,7 @@ from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.given import check_kind, image_array, number_array
 from sonarjax.sonar.model import Sonar
 
+NOT_FINITE = "holds NaN or infinite values: a mask says which pixels were measured"
 UNMEASURED = 0.5
 """Grey of pixels that were not measured."""
 BEYOND = 1.0
@@ -49,11 +51,39 @@ def checked_image(
     return (image if mask is None else np.where(mask, image, UNMEASURED).astype(np.float32)), mask
 
 
+def check_finite(image: Any, mask: Any, name: str) -> None:
+    """Raise a SonarjaxError if a measured pixel of an image is NaN or infinite.
+
+    Traced images and masks pass, because their values are not known.
+
+    Args:
+        image: The image, or several, of numbers.
+        mask: True where a pixel was measured, in the image's shape; None means everywhere.
+        name: What the message calls the image.
+
+    Raises:
+        SonarjaxError: A measured pixel is not finite.
+    """
+    if isinstance(image, jax.core.Tracer) or isinstance(mask, jax.core.Tracer):
+        return
+    finite = np.isfinite(np.asarray(image))
+    if not finite.all() and (mask is None or not finite[np.asarray(mask) > 0].all()):
+        raise SonarjaxError(f"{name}: {NOT_FINITE}")
+
+
 def check_values(values: Float[np.ndarray, "*pixel"], name: str) -> None:
-    """Raise a SonarjaxError for values that are not finite or far outside [0, 1]; both extremes of NaN are NaN."""
+    """Raise a SonarjaxError for values that are not finite or far outside [0, 1], and for labels 0, 1, 2.
+
+    Both extremes of values with a NaN are NaN.
+    """
     low, high = float(values.min()), float(values.max())
     if not (math.isfinite(low) and math.isfinite(high)):
-        raise SonarjaxError(f"{name}: holds NaN or infinite values")
+        raise SonarjaxError(f"{name}: {NOT_FINITE}")
+    if high > 1 and np.array_equal(values, np.round(values)) and high <= 1 + BEYOND:
+        raise SonarjaxError(
+            f"{name}: expected values in [0, 1], got whole numbers from {low:g} to {high:g}: labels? In a semantic map "
+            "shadow is 0, background 0.5, highlight 1"
+        )
     if low < -BEYOND or high > 1 + BEYOND:
         hint = "; divide 8-bit values by 255" if low >= 0 and 2 < high <= 255 else ""
         raise SonarjaxError(f"{name}: expected values in [0, 1], got {low:g} to {high:g}{hint}")

@@ -1,7 +1,8 @@
 """`sonar.toml`: a `Sonar` as a text file, in metres, and in degrees where the key says `_deg`.
 
 Reading checks every key, type and value, and raises one clear `SonarjaxError`. A written file reads back as the same
-sonar. For a missing key the preset's value is used, or the default of `Sonar`.
+sonar, angles to the last digit but one, because degrees round. For a missing key the preset's value is used, or the
+default of `Sonar`.
 """
 
 from __future__ import annotations
@@ -89,6 +90,8 @@ def table_fields(table: Mapping[str, Any], source: str) -> dict[str, Any]:
 
 def write_sonar(sonar: Any, path: str | Path) -> None:
     """Write the fields of a `Sonar` to a `sonar.toml` in one step; it reads back as the same sonar.
+
+    An angle may differ in the last digit of its float64: about one in ten has no number of degrees that is exactly it.
 
     Raises:
         SonarjaxError: A value is impossible, traced or batched, or the file cannot be written.

@@ -65,6 +65,8 @@ def test_unlikely_frames_are_left_out_unless_the_target_is_present(monkeypatch, 
     """Without its search and fit: which frames are fitted, at first and with the nearly right sonar."""
     module = sys.modules["sonarjax.calibrate.calibration"]
     images = [np.full(NOMINAL.shape, 0.1 * k, np.float32) for k in range(8)]
+    for image in images:
+        image[-1] = 1.0  # a frame of one grey would be refused
     likely = [0.9, 0.1, 0.8, 0.2, 0.3, 0.0, 0.0, 0.0]
     seen, taken = [SimpleNamespace(pose=sj.Pose(2.2), probability=p) for p in likely], []
 

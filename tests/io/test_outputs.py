@@ -99,3 +99,13 @@ def test_two_inputs_of_one_stem():
     with pytest.raises(SonarjaxError, match="f.png: its labels would overwrite those of f.npz .same stem"):
         check_label_files("sub", ["f.npz", "f.png"])
     check_label_files("sub", ["f.npz", "./f.npz", "r.aris", "r.aris:3"])
+
+
+def test_a_folder_that_may_not_be_written_in_is_refused_before_anything_runs(tmp_path, monkeypatch):
+    locked = tmp_path / "locked"
+    locked.mkdir()
+    allowed = os.access
+    monkeypatch.setattr(os, "access", lambda path, mode: str(path) != str(locked) and allowed(path, mode))
+    with pytest.raises(SonarjaxError, match=r"--out: .*r.jsonl' cannot be written: no permission to write in .*locked"):
+        check_outputs({"--out": str(locked / "r.jsonl")}, [])
+    check_outputs({"--out": str(tmp_path / "r.jsonl")}, [])

@@ -138,7 +138,7 @@ def test_a_search_that_cannot_be_is_refused(options, message) -> None:
 
 
 def test_bad_input_is_one_clear_line() -> None:
-    blank = np.arange(4)[:, None, None] / 4 * np.ones((4, *SONAR.shape), np.float32)
+    blank = np.arange(4)[:, None, None] / 4 * np.linspace(0, 1, SONAR.n_beams) * np.ones((4, *SONAR.shape), np.float32)
     poses = sj.Pose(2.2, 0.0, YAWS)
     with pytest.raises(sj.SonarjaxError, match="frames: expected at least one"):
         sj.fit_surface([], ball(), SONAR, poses)

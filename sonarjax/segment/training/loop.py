@@ -21,7 +21,7 @@ from tqdm import tqdm
 
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.io.given import shown
+from sonarjax.io.given import check_kind, shown
 from sonarjax.segment.step import GanState, create_state
 from sonarjax.segment.tiled import TILE
 from sonarjax.segment.training.batches import Batches, Stored
@@ -84,6 +84,7 @@ def train(
             the last checkpoint before that is kept.
     """
     recipe = find_recipe(preset)
+    check_kind(engine, Engine, "engine")
     if not isinstance(run_dir, str | os.PathLike):
         raise SonarjaxError(f"run_dir: expected a folder, got {shown(run_dir)}")
     join_processes()
