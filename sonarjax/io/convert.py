@@ -14,7 +14,7 @@ from sonarjax.io.atomic import write_npz, write_png
 from sonarjax.io.console import complain
 from sonarjax.io.errors import SonarjaxError, UnreadableError
 from sonarjax.io.fan import fan_to_polar, nearest_range, polar_to_fan
-from sonarjax.io.fan_geometry import FanGeometry, PictureBox, content_box, equal_beams, fan_around, fit_fan
+from sonarjax.io.fan_geometry import FanGeometry, PictureBox, content_box, even_beams, fan_around, fit_fan
 from sonarjax.io.frame import Frame
 from sonarjax.io.given import is_number, shown
 from sonarjax.io.load import iter_frames, iter_records, split_spec
@@ -322,7 +322,7 @@ def _axes(polar: Frame, options: FanOptions, axes: PolarAxes | None) -> tuple[np
         return _axes_of_sonar(polar, options, axes, in_file)
     if not in_file:
         opening_deg, near, far = _sector(options, "a frame without azimuth_deg and range_edges_m")
-        return equal_beams(math.radians(opening_deg), beams), np.linspace(near, far, bins + 1)
+        return even_beams(beams, math.radians(opening_deg)), np.linspace(near, far, bins + 1)
     for name in _told_by_beams(beams):
         if _given(options, name):
             raise SonarjaxError(f"{_option(name)}: cannot be used: the file itself holds this value")

@@ -120,7 +120,7 @@ class FanGeometry:
         Returns:
             Beam centres (beam,), ascending from starboard to port [rad].
         """
-        return equal_beams(self.opening, beams)
+        return even_beams(beams, self.opening)
 
     def polar_shape(self) -> tuple[int, int]:
         """Return the numbers of range bins and beams that keep the picture's resolution.
@@ -136,9 +136,13 @@ class FanGeometry:
         return max(round(bins), 1), max(round(arc / self.column_m), 1)
 
 
-def equal_beams(opening: float | int, beams: int) -> Float[np.ndarray, "beam"]:
-    """Centres (beam,) of `beams` equal, adjacent beams that fill `opening` [rad], ascending [rad]."""
-    return ((np.arange(beams) + 0.5) / beams - 0.5) * opening
+def even_beams(n_beams: int, field_of_view: float | int) -> Float[np.ndarray, "beam"]:
+    """Centres (beam,) of equally wide beams whose outer edges span `field_of_view`, in the unit of that argument.
+
+    >>> even_beams(4, 20.0).tolist()
+    [-7.5, -2.5, 2.5, 7.5]
+    """
+    return (np.arange(n_beams) + 0.5 - n_beams / 2) * (field_of_view / n_beams)
 
 
 def content_box(picture: Real[np.ndarray, "row column"]) -> PictureBox:

@@ -19,6 +19,7 @@ from jaxtyping import Array, Float, Float64
 
 from sonarjax.io.aris_beams import ARIS_1200, ARIS_1800, ARIS_3000, aris_azimuth_deg
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.fan_geometry import even_beams
 from sonarjax.sonar.check import check_azimuth, check_count
 from sonarjax.sonar.parts import field_of_view_deg
 
@@ -28,15 +29,6 @@ HEIGHT_M = 0.9
 """Height of every preset above the floor (Table 1) [m]."""
 WINDOW_M = (1.5, 4.0)
 """Near and far end of every preset's window (§4.1) [m]."""
-
-
-def even_beams(n_beams: int, field_of_view: float) -> Float64[np.ndarray, "beam"]:
-    """Centres (beam,) of equally wide beams whose outer edges span `field_of_view`, in the unit of that argument.
-
-    >>> even_beams(4, 20.0).tolist()
-    [-7.5, -2.5, 2.5, 7.5]
-    """
-    return (np.arange(n_beams) + 0.5 - n_beams / 2) * (field_of_view / n_beams)
 
 
 def array_beams(n_beams: int, half_view: float) -> Float64[np.ndarray, "beam"]:

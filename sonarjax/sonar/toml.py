@@ -19,9 +19,10 @@ from jaxtyping import Array, Float
 
 from sonarjax.io.atomic import write_text
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.fan_geometry import even_beams
 from sonarjax.sonar.check import MAX_BEAMS, MAX_RANGES, as_numbers, check_sonar
 from sonarjax.sonar.parts import FloorPatch, GeometryStd, field_of_view_deg
-from sonarjax.sonar.presets import PRESETS, azimuth_from_deg, even_beams
+from sonarjax.sonar.presets import PRESETS, azimuth_from_deg
 
 _FIELDS = {
     "range_min_m": "range_min",
