@@ -6,12 +6,17 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+from jaxtyping import Int
+
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.given import check_kind, check_whole, is_number, positive_numbers, several, shown
 from sonarjax.refine.free import ALL
 from sonarjax.refine.template import VIEWS, Template
 from sonarjax.render import RenderQuality
 
+EVERYWHERE = 1 << 20
+"""A margin that reaches beyond every frame [bins, beams]."""
 SLACK_M = 0.06
 """Room around the start inside the window that is rendered [m]."""
 
@@ -72,6 +77,11 @@ class RefineConfig:
             raise SonarjaxError(f"sharpness: expected a number of 0 or more, got {shown(self.sharpness)}")
         if self.margin is not None:
             object.__setattr__(self, "margin", _checked_margin(self.margin))
+
+    @property
+    def box_margin(self) -> Int[np.ndarray, "2"]:
+        """`margin` [bins, beams]; wider than any frame if it is None."""
+        return np.full(2, EVERYWHERE, np.int32) if self.margin is None else np.array(self.margin, np.int32)
 
     def bound(self, name: str) -> float:
         """Look up the largest change of one number of the pose.

@@ -326,9 +326,7 @@ def _settings(config: RefineConfig, free: tuple[str, ...]) -> tuple[Any, ...]:
         polish=np.int32(config.polish),
         score_margin=np.array([MARGIN_BINS, MARGIN_BEAMS], np.int32),
     )
-    everywhere = np.full(2, 1 << 20, np.int32)
-    margin = everywhere if config.margin is None else np.array(config.margin, np.int32)
-    return search, np.float32(config.sharpness), np.int32(VIEWS[config.template]), margin
+    return search, np.float32(config.sharpness), np.int32(VIEWS[config.template]), config.box_margin
 
 
 @partial(jax.jit, static_argnames=("size", "quality", "polished", "free", "hold"))

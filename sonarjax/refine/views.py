@@ -250,7 +250,6 @@ def _evaluator(job: Job, start: Pose) -> Callable[[np.ndarray, float], _Sum]:
     space = tuple(np.float32(v + (config.bound(name) if name in job.free else 0.0)) for name, v in at.items())
     law = tuple(np.asarray(v) for v in jax.tree.leaves(nominal_law()))
     fixed: list[Any] = [(np.zeros(job.size.shape, np.float32), np.int32(VIEWS[config.template]), law)] * len(places)
-    margin = np.full(2, 1 << 20, np.int32) if config.margin is None else np.array(config.margin, np.int32)
     fresh = [True] * len(places)
     shows = [True] * len(places)  # a view in which the start is out of sight says nothing
 
@@ -261,7 +260,7 @@ def _evaluator(job: Job, start: Pose) -> Callable[[np.ndarray, float], _Sum]:
             numbers, kept = job.engine.run(
                 linearise, job.images[k], job.weights[k], job.mesh, job.sonar, places[k], space,
                 in_view(pose, job.sonar_poses[k]), _bounces_of(point, count, k), np.float32(sigma),
-                np.float32(config.sharpness), margin, fixed[k], np.bool_(fresh[k]), size=job.size,
+                np.float32(config.sharpness), config.box_margin, fixed[k], np.bool_(fresh[k]), size=job.size,
                 quality=config.quality,
             )  # fmt: skip
             view = View(*(np.asarray(v, float) for v in numbers))
