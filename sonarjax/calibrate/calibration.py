@@ -14,7 +14,7 @@ import numpy as np
 from sonarjax.calibrate.covariance import Certainty
 from sonarjax.calibrate.detect import Prepared, best_height, detect
 from sonarjax.calibrate.fit import FINE, Job, fit_frames, with_nominal_look
-from sonarjax.calibrate.inputs import check_frames, check_kinds, check_not_blank, check_standing, starts_of
+from sonarjax.calibrate.inputs import check_floor, check_frames, check_kinds, check_not_blank, starts_of
 from sonarjax.calibrate.look import Look, sensor_of
 from sonarjax.calibrate.parameters import INCIDENCE, INCIDENCE_DEG, changed_sonar, check_free, prior_std
 from sonarjax.calibrate.solver import Fit
@@ -123,7 +123,7 @@ def calibrate(
 
     Args:
         frames: Grey frames (frame, range, beam).
-        mesh: The target, its lowest point at z = 0 (`Mesh.standing`), unless `poses` lift or tilt it.
+        mesh: The target; its z = 0 is the floor (`Mesh.standing`).
         sonar: The nominal sonar.
         free: Names of the numbers to fit, from `PARAMETERS`.
         poses: Known poses (frame,) [m, rad] from which to start. None means that the target is searched for in each
@@ -143,7 +143,7 @@ def calibrate(
     Raises:
         SonarjaxError: There are no frames, their shapes do not fit the sonar, they are all the same or blank, values
             are not finite (also of poses), there is another number of poses or masks, the target is out of view at a
-            given pose, the mesh does not stand on the floor, a free number does not exist or is repeated, a prior is
+            given pose, the mesh goes through the floor, a free number does not exist or is repeated, a prior is
             not positive or belongs to no free number, `range_offset` is free and the window begins too near the sonar,
             there is no such segmenter, the sonar sees no floor on which the target can stand, the picture has no finite
             derivatives where the fit begins, or the target is found in none of the frames.
@@ -156,7 +156,7 @@ def calibrate(
     sonar = sonar.replace(geometry_std=None)
     images, measured = check_frames(frames, masks, sonar)
     starts = None if poses is None else starts_of(poses, len(images), sonar)
-    check_standing(mesh, poses)
+    check_floor(mesh, poses)
     check_not_blank(images, measured)
     if poses is not None and starts is not None:
         prepared = [Prepared(image, mask, image) for image, mask in zip(images, measured, strict=True)]

@@ -18,7 +18,7 @@ from sonarjax.render.region import image_azimuth
 from sonarjax.render.simulate import check_sonar_alone
 from sonarjax.scene import Mesh, Pose
 from sonarjax.scene.limits import check_pose
-from sonarjax.scene.standing import check_stands
+from sonarjax.scene.standing import check_above_floor
 from sonarjax.sonar import Sonar
 from sonarjax.sonar.image import check_values
 
@@ -30,10 +30,10 @@ def check_kinds(mesh: Any, sonar: Any, engine: Any) -> None:
     check_sonar_alone(sonar)
 
 
-def check_standing(mesh: Mesh, poses: Pose | None) -> None:
-    """Raise a SonarjaxError if a mesh does not stand on the floor, and no pose says that it is lifted or leans."""
+def check_floor(mesh: Mesh, poses: Pose | None) -> None:
+    """Raise a SonarjaxError if a mesh goes through the floor, and no pose says that it is buried or leans."""
     if poses is None or not any(np.any(np.asarray(v)) for v in (poses.z, poses.roll, poses.pitch)):
-        check_stands(mesh, "mesh")
+        check_above_floor(mesh, "mesh")
 
 
 def check_frames(frames: Any, masks: Any, sonar: Sonar) -> tuple[list[np.ndarray], list[np.ndarray | None]]:

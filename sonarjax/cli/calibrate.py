@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
 
     check_free(args.free)
     sonar = Sonar.from_toml(args.sonar)
-    mesh = load_mesh(args.target, sonar, args, must_stand=True)
+    mesh = load_mesh(args.target, sonar, args, above_floor=True)
     frames, code = [], 0
     for name, frame in frames_for(sonar, args.frames, args.sonar):
         if isinstance(frame, Exception):

@@ -51,7 +51,7 @@ def _of_folder(folder: Path, option: str) -> list[str]:
     return [str(path) for path in found]
 
 
-def load_mesh(path: str, sonar: Any, args: argparse.Namespace, must_stand: bool = False) -> Any:
+def load_mesh(path: str, sonar: Any, args: argparse.Namespace, above_floor: bool = False) -> Any:
     """Load a mesh, reduce it if it is much finer than the sonar resolves, and let it stand with `--stand`.
 
     A line on stderr tells of a reduction, and of a mesh that does not stand on the floor.
@@ -60,14 +60,15 @@ def load_mesh(path: str, sonar: Any, args: argparse.Namespace, must_stand: bool 
         path: The mesh file.
         sonar: The sonar.
         args: Parsed arguments, with the options of `add_mesh_options`.
-        must_stand: Refuse a mesh that does not stand on the floor, instead of a note.
+        above_floor: Refuse a mesh that goes through the floor, instead of a note.
 
     Raises:
-        SonarjaxError: The mesh cannot be read, is too large for the sonar's view, or does not stand but must.
+        SonarjaxError: The mesh cannot be read, is too large for the sonar's view, or goes through the
+            floor but must not.
     """
     from sonarjax.render import check_fits, reduced_for  # not at the top of the file: JAX must be set up first
     from sonarjax.scene import Mesh
-    from sonarjax.scene.standing import REMEDY, check_stands, why_not_standing
+    from sonarjax.scene.standing import REMEDY, check_above_floor, why_not_standing
 
     mesh = Mesh.load(path, args.unit_m)
     check_fits(mesh, sonar, path)
@@ -76,8 +77,8 @@ def load_mesh(path: str, sonar: Any, args: argparse.Namespace, must_stand: bool 
         complain(f"{path}: {found}; --mesh-tolerance 0 keeps all triangles", kind="note: ")
     if args.stand:
         return found.mesh.standing()
-    if must_stand:
-        check_stands(found.mesh, path)
+    if above_floor:
+        check_above_floor(found.mesh, path)
     problem = why_not_standing(found.mesh)
     if problem is not None:
         complain(f"{path}: its lowest point is not on the floor, {problem}: {REMEDY}", kind="note: ")

@@ -14,7 +14,7 @@ import numpy as np
 
 from sonarjax.calibrate.detect import Prepared
 from sonarjax.calibrate.fit import FINE, Job, fit_frames, with_nominal_look
-from sonarjax.calibrate.inputs import check_frames, check_kinds, check_not_blank, check_standing, starts_of
+from sonarjax.calibrate.inputs import check_floor, check_frames, check_kinds, check_not_blank, starts_of
 from sonarjax.calibrate.parameters import SIZES, changed_mesh, prior_std
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.refine.free import in_order
@@ -78,8 +78,7 @@ def fit_size(
 
     Args:
         frames: Grey frames (frame, range, beam).
-        mesh: The object's shape, in roughly its size; its lowest point at z = 0 (`Mesh.standing`), unless `poses` lift
-            or tilt it.
+        mesh: The object's shape, in roughly its size; its z = 0 is the floor (`Mesh.standing`).
         sonar: The sonar.
         poses: Poses (frame,) that are right to a few centimetres and degrees, such as those from matching with the
             mesh.
@@ -95,8 +94,8 @@ def fit_size(
 
     Raises:
         SonarjaxError: There are no frames, their shapes do not fit the sonar, they are all the same or blank, values
-            are not finite (also of poses), there is another number of poses or masks, the object is out of view or does
-            not stand on the floor, an extent does not exist or is repeated, or a prior is no positive number or belongs
+            are not finite (also of poses), there is another number of poses or masks, the object is out of view or goes
+            through the floor, an extent does not exist or is repeated, or a prior is no positive number or belongs
             to no free extent.
     """
     check_kinds(mesh, sonar, engine)
@@ -104,7 +103,7 @@ def fit_size(
     std = prior_std(names, prior, sonar)
     images, measured = check_frames(frames, masks, sonar)
     starts = starts_of(poses, len(images), sonar)
-    check_standing(mesh, poses)
+    check_floor(mesh, poses)
     check_not_blank(images, measured)
     prepared = [Prepared(image, mask, image) for image, mask in zip(images, measured, strict=True)]
     roomy = with_lean_room(mesh, poses, sonar)

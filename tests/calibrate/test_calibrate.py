@@ -15,7 +15,7 @@ import sonarjax as sj
 from experiments.incidence_limit import darkened
 from sonarjax.calibrate.calibration import WIDENING, _possible
 from sonarjax.calibrate.fit import Job, _put_back, _starts
-from sonarjax.calibrate.inputs import check_standing
+from sonarjax.calibrate.inputs import check_floor
 from sonarjax.calibrate.linearise import OWN, Observation, linearise
 from sonarjax.calibrate.look import LOOK
 from sonarjax.calibrate.parameters import changed_sonar
@@ -198,8 +198,8 @@ def test_derivatives_are_finite_differences(frames, free, off, free_steps) -> No
 
 
 IMAGE = np.zeros(NOMINAL.shape, np.float32)
-RAISED = sj.objects.target()
-RAISED = RAISED.with_vertices(RAISED.vertices + jnp.array([0.0, 0.0, 0.1]))
+SUNKEN = sj.objects.target()
+SUNKEN = SUNKEN.with_vertices(SUNKEN.vertices - jnp.array([0.0, 0.0, 0.1]))
 
 
 @pytest.mark.parametrize(
@@ -211,8 +211,8 @@ RAISED = RAISED.with_vertices(RAISED.vertices + jnp.array([0.0, 0.0, 0.1]))
         ([IMAGE, IMAGE], {}, r"frames: expected different frames"),
         ([IMAGE, IMAGE + 1], {"masks": [None]}, r"masks: expected one for each of the 2 frames"),
         ([IMAGE, IMAGE + 1], {"poses": sj.Pose(x=[1.0], y=0.0, yaw=0.0)}, r"poses: expected one for each"),
-        ([IMAGE], {"mesh": RAISED}, r"mesh: expected a mesh whose lowest point is at z = 0, it is 0.1 m above"),
-        ([IMAGE], {"mesh": RAISED, "poses": sj.Pose(x=[2.3])}, r"mesh: expected a mesh whose lowest point is at z = 0"),
+        ([IMAGE], {"mesh": SUNKEN}, r"mesh: expected a mesh whose lowest point is at z = 0, it is 0.1 m below"),
+        ([IMAGE], {"mesh": SUNKEN, "poses": sj.Pose(x=[2.3])}, r"mesh: expected a mesh whose lowest point is at z = 0"),
         ([IMAGE], {"free": ("tilt", "wind")}, r"free: expected names"),
         ([IMAGE], {"prior": {"roll": 0.1}}, r"prior: 'roll' is not among"),
     ],
@@ -223,5 +223,10 @@ def test_bad_input_is_one_clear_error(frames, options, what) -> None:
 
 
 def test_a_pose_may_say_how_the_mesh_lies() -> None:
-    check_standing(RAISED, sj.Pose(x=[2.3], z=[-0.1]))
-    check_standing(RAISED, sj.Pose(x=[2.3, 2.4], roll=[0.0, 0.2]))
+    check_floor(SUNKEN, sj.Pose(x=[2.3], z=[0.1]))
+    check_floor(SUNKEN, sj.Pose(x=[2.3, 2.4], roll=[0.0, 0.2]))
+
+
+def test_a_mesh_may_hang_above_the_floor() -> None:
+    """As a pipe on supports that its mesh leaves out."""
+    check_floor(SUNKEN.with_vertices(SUNKEN.vertices + jnp.array([0.0, 0.0, 0.124])), None)
