@@ -1,13 +1,13 @@
-"""How should a refined match be judged, and how large are its errors? A rule and error bars from validation frames.
+"""How should a refined match be judged? A rule from validation frames.
 
 python -m experiments.fit_decision [--segmenter FILE --into FILE] [--preset smoke] [--help]
 
 A logistic regression weighs the evidence of `sonarjax.refine.evidence`, its AUC also given with each object left out of
 the fit in turn; one half is its threshold. Symmetric targets have weights of their own. Another regression tells frames
-with an object from frames without, on open floor and in tanks. Error bars are those under which the errors are most
-likely, scaled to hold 68 % of them. Validation frames show other objects and other devices than any test: see
-`experiments.common.validation`. `--piles` fits to more objects, and did not carry over (docs/outside.md). What is found
-stands in the weights file's metadata, `sonarjax.segment.rule` and `sonarjax.refine.errorbar`.
+with an object from frames without, on open floor and in tanks. Validation frames show other objects and other devices
+than any test: see `experiments.common.validation`. `--piles` fits to more objects, and did not carry over
+(docs/outside.md). What is found stands in the weights file's metadata and in `sonarjax.segment.rule`. The columns about
+yaw are those of the error bars that ship; `fit_error_bar` fits them.
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ import sonarjax as sj
 from experiments.common.drawn_piles import pile_scenes
 from experiments.common.frames import TILTS_DEG
 from experiments.common.launch import Report, launch
-from experiments.common.likelihood import scale_to_68, unlikeliness
 from experiments.common.metrics import columns, yaw_error_deg
 from experiments.common.recognizers import recognizers
 from experiments.common.runs import Job
@@ -41,8 +40,6 @@ from experiments.common.validation import (
 from experiments.common.walled import walled_cases
 from sonarjax.io import SonarjaxError
 from sonarjax.io.safetensors import read_safetensors, write_safetensors
-from sonarjax.refine import ErrorBar
-from sonarjax.refine.errorbar import SHARPEST, log_drop
 from sonarjax.segment import EVIDENCE, IdentificationRule
 from sonarjax.segment.rule import RISES, Logistic
 
@@ -51,9 +48,7 @@ THRESHOLD = 0.5
 RIDGE = 1.0
 """Weight of the squared coefficients of standardised evidence in the logistic loss [1]."""
 ASTRAY_DEG = 30.0
-"""Yaw errors beyond it are of another hypothesis: no error bar is fitted to them."""
-BAR_RIDGE = 2.0
-"""Weight of the squared coefficients of what error bars are made of, standardised [1]."""
+"""Yaw errors beyond it are of another hypothesis: they are counted, and no error bar holds them."""
 OPEN, SYMMETRIC, WALLED = "any device", "symmetric objects", "walls in view"
 """Frames of an object, on open floor and in a tank."""
 FLOOR, TANKS = "bare floor", "tanks without an object"
@@ -79,7 +74,7 @@ class Settings:
     count: int = 480
     """Validation frames."""
     symmetric: int = 160
-    """Further frames, of objects that look the same at several yaws. Error bars are not fitted to them."""
+    """Further frames, of objects that look the same at several yaws."""
     piles: bool = False
     """Show ten drawn piles too, beside the five objects."""
     empty: int = 120
@@ -100,8 +95,6 @@ class Measured:
 
     evidence: np.ndarray
     """Evidence (frame, number), in the order of `EVIDENCE`."""
-    frame_drop: np.ndarray
-    """How far the frame's scores fall beside the best yaw [NCC]."""
     own_rise: np.ndarray
     """How far the target's best yaw can stand out [NCC]."""
     own: np.ndarray
@@ -109,7 +102,7 @@ class Measured:
     error_deg: np.ndarray
     """Error of the refined yaw [deg]."""
     std_deg: np.ndarray
-    """`refine_yaw`'s own standard deviation [deg]."""
+    """`yaw_std` [deg]."""
     bank: np.ndarray
     """`score_bank`."""
     refined: np.ndarray
@@ -123,7 +116,7 @@ class Measured:
 
 
 def run(settings: Settings, job: Job) -> Report:
-    """The rule, the error bar, and what both reach.
+    """The rule, and what it reaches.
 
     Raises SonarjaxError for settings that leave nothing to fit to.
     """
@@ -140,14 +133,12 @@ def run(settings: Settings, job: Job) -> Report:
     plain, judged, filled = shown == OPEN, np.isin(shown, (OPEN, SYMMETRIC)), np.isin(shown, (OPEN, SYMMETRIC, WALLED))
     rule = fit_rule(values, plain, judged, filled)
     probability = score(rule, values)
-    bar = fit_error_bar(values.only(plain))
     left_out = _left_out(values, plain, judged, filled, sought)
-    std = np.degrees(_std(bar, values))
     families = {OPEN: plain, "odd devices": plain & odd, "the family": plain & ~odd}
     families |= {AGREE: plain & (values.agree == 1), DISAGREE: plain & (values.agree == 0)}
     families |= {name: shown == name for name in (SYMMETRIC, WALLED)}
     rows = [
-        {"frames": name} | _row(values, probability, left_out, std, chosen)
+        {"frames": name} | _row(values, probability, left_out, chosen)
         for name, chosen in families.items()
         if values.own[chosen].any() and not values.own[chosen].all()
     ]
@@ -162,7 +153,7 @@ def run(settings: Settings, job: Job) -> Report:
     if settings.into:
         arrays, about = read_safetensors(settings.into)
         write_safetensors(settings.into, arrays, about | {"rule": rule.as_json()})
-    return {"rule": rule.as_json(), "error_bar": bar._asdict(), "rows": rows}
+    return {"rule": rule.as_json(), "rows": rows}
 
 
 def _draw(settings: Settings, seed: int, of: dict[str, Scene]) -> dict[str, list[Case]]:
@@ -185,9 +176,9 @@ def _measure(cases: list[Case], of: dict[str, Scene], segmenter: str) -> dict[st
         result = made[case.sought](case.tilt_deg)(case.image, threshold=0.5)
         assert result.evidence is not None
         row = [[result.evidence[name] for name in EVIDENCE]]
-        row += [result.evidence["frame_drop"], result.evidence["own_rise"], case.is_target]
+        row += [result.evidence["own_rise"], case.is_target]
         row += [yaw_error_deg(result.yaw, case.yaw)]  # NaN where nothing is shown
-        row += [np.degrees(result.evidence["curvature_std"]), result.score_bank, result.score_refined, result.agree]
+        row += [np.degrees(result.yaw_std), result.score_bank, result.score_refined, result.agree]
         for name, value in zip(found, row, strict=True):
             found[name].append(value)
     return found
@@ -235,41 +226,6 @@ def _alarms(probability: np.ndarray) -> float:
     return float((probability >= THRESHOLD).mean())
 
 
-def fit_error_bar(values: Measured) -> ErrorBar:
-    """The error bar under which the targets' errors are most likely, scaled to hold 68 % of them.
-
-    A few frames go astray, and would widen all others' error bars: they are left out.
-    """
-    near = values.own & (values.error_deg <= ASTRAY_DEG) & np.isfinite(values.std_deg)
-    error, known = np.radians(values.error_deg[near]), _known(values)[near]
-    mean, spread = known.mean(0), known.std(0) + 1e-9
-    scaled = (known - mean) / spread
-
-    def std(beta: np.ndarray) -> np.ndarray:
-        return np.exp(beta[0] + scaled @ beta[1:])
-
-    def loss(beta: np.ndarray) -> float:
-        return unlikeliness(error, std(beta)) + BAR_RIDGE * float((beta[1:] ** 2).sum()) / 2
-
-    # Errors beyond TAIL have no gradient, so a method that uses it may stop far from the best fit.
-    start = [np.log(np.median(error)), *np.zeros(known.shape[1])]
-    beta = minimize(loss, start, method="Nelder-Mead", options={"xatol": 1e-5, "fatol": 1e-6, "maxiter": 4000}).x
-    weights = beta[1:] / spread
-    offset = beta[0] - weights @ mean + np.log(scale_to_68(error, std(beta)))
-    return ErrorBar(float(offset), *(float(w) for w in weights))
-
-
-def _known(values: Measured) -> np.ndarray:
-    """What error bars are made of (frame, number): the fields of `ErrorBar` after its offset."""
-    curvature = np.log(np.radians(values.std_deg) + SHARPEST)
-    return np.stack([curvature, log_drop(values.frame_drop)], axis=-1)
-
-
-def _std(bar: ErrorBar, values: Measured) -> np.ndarray:
-    """Standard deviations (frame,) [rad]."""
-    return bar.std(np.radians(values.std_deg), values.frame_drop)
-
-
 def _left_out(
     values: Measured, plain: np.ndarray, judged: np.ndarray, filled: np.ndarray, sought: np.ndarray
 ) -> np.ndarray:
@@ -283,12 +239,10 @@ def _left_out(
     return scores
 
 
-def _row(
-    values: Measured, probability: np.ndarray, left_out: np.ndarray, std: np.ndarray, chosen: np.ndarray
-) -> dict[str, Any]:
-    """What rule and error bars, with standard deviations (frame,) [deg], reach in the `chosen` (frame,) frames."""
+def _row(values: Measured, probability: np.ndarray, left_out: np.ndarray, chosen: np.ndarray) -> dict[str, Any]:
+    """What rule and error bars reach in the `chosen` (frame,) frames."""
     own = values.own[chosen]
-    error, std = values.error_deg[chosen][own], std[chosen][own]
+    error, std = values.error_deg[chosen][own], values.std_deg[chosen][own]
     near = error <= ASTRAY_DEG
     said = probability[chosen] >= THRESHOLD
     scores = {"auc": probability, "left_out": left_out, "bank": values.bank, "refined": values.refined}
@@ -314,8 +268,7 @@ def table(report: Report) -> str:
         f"{part['offset']:.4g}"
         for name, part in parts.items()
     ]
-    bar = ", ".join(f"{name} {value:.4g}" for name, value in report["error_bar"].items())
-    said += [f"threshold {rule['threshold']:.4g}, false alarms {rule['false_alarms']:.3f}", f"error bar: {bar}"]
+    said += [f"threshold {rule['threshold']:.4g}, false alarms {rule['false_alarms']:.3f}"]
     return "\n".join(said) + f"\n\n{columns(report['rows'], HEADS)}"
 
 

@@ -269,11 +269,10 @@ class Recognizer:
         if self.refine is None:
             return [self._unrefined(look) for look in looks]
         if rule is None:
-            best, found = self._refined(looks[0], image, seen, mask, expected), looks[0].in_map.score
+            best, found = self._refined(looks[0], image, seen, mask, expected, None), looks[0].in_map.score
             return [best._replace(score=found, rank=found), *(self._unrefined(look) for look in looks[1:])]
         ranked = [(looks[0], 1.0)] if len(looks) == 1 else self._compared(looks, image, seen, mask)
-        best = self._refined(ranked[0][0], image, seen, mask, expected)
-        best = best._replace(score=rule.probability(best.evidence or {}), rank=ranked[0][1])
+        best = self._refined(ranked[0][0], image, seen, mask, expected, rule)._replace(rank=ranked[0][1])
         return [best, *(self._unrefined(look)._replace(rank=share) for look, share in ranked[1:])]
 
     def _compared(
@@ -290,9 +289,10 @@ class Recognizer:
         return _Result(look, found.score, _distinct(plain), found.x, found.y, None, found.score)
 
     def _refined(
-        self, look: Look, image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None, expected: Sequence[Pose]
-    ) -> _Result:
-        """Refine a target's hypotheses, and gather the evidence for the best one."""
+        self, look: Look, image: np.ndarray, seen: np.ndarray, mask: np.ndarray | None, expected: Sequence[Pose],
+        rule: IdentificationRule | None,
+    ) -> _Result:  # fmt: skip
+        """Refine a target's hypotheses, and gather the evidence for the best one, which the rule judges."""
         if self.first_look is not None:
             look = by_echoes(look, image, mask)
         starts = make_starts(*look, seen, image, self.search.hypotheses)
@@ -307,7 +307,7 @@ class Recognizer:
 
         assert self.refine is not None
         best, *others = refine_starts(starts, image, seen, mask, self.refine, window_of, self.engine)
-        return _result(look, [with_mean_yaw(best, image, mask, self.refine, self.engine), *others])
+        return _result(look, [with_mean_yaw(best, image, mask, self.refine, self.engine), *others], rule)
 
     def _with_geometry(
         self, one: Hypothesis, search: TargetSearch, image: np.ndarray, mask: np.ndarray | None
@@ -416,14 +416,16 @@ def _widened(config: RefineConfig, yaw_bins: int) -> RefineConfig:
     return replace(config, bounds=(max(yaw, 2 * math.pi / yaw_bins), x, y))
 
 
-def _result(look: Look, refined: Sequence[RefinedStart]) -> _Result:
-    """A look's refined starts, best first, as hypotheses, with the evidence for the best; its score is set later."""
+def _result(look: Look, refined: Sequence[RefinedStart], rule: IdentificationRule | None) -> _Result:
+    """A look's refined starts, best first, as hypotheses, with the evidence for the best; a rule gives its score."""
     best, curves = refined[0], curve_evidence(*look)
-    stds = ERROR_BAR.std(np.stack([np.asarray(one.estimate.yaw_std) for one in refined]), curves["frame_drop"])
-    hypotheses = [_hypothesis(one, float(std)) for one, std in zip(refined, stds, strict=True)]
     evidence = {name: float(value) for name, value in vars(best.evidence).items()}
     evidence |= curves | {"curvature_std": float(best.estimate.yaw_std)}
-    return _Result(look, math.nan, _distinct(hypotheses), float(best.pose.x), float(best.pose.y), evidence)
+    score = None if rule is None else rule.probability(evidence)
+    stds = ERROR_BAR.std(np.stack([np.asarray(one.estimate.yaw_std) for one in refined]), curves["frame_drop"], score)
+    hypotheses = [_hypothesis(one, float(std)) for one, std in zip(refined, stds, strict=True)]
+    place = float(best.pose.x), float(best.pose.y)
+    return _Result(look, math.nan if score is None else score, _distinct(hypotheses), *place, evidence)
 
 
 def _hypothesis(one: RefinedStart, std: float) -> Hypothesis:

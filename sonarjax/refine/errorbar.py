@@ -2,7 +2,8 @@
 
 The curvature of the objective accounts for the residuals, but not for what the template lacks: bounces, another
 brightness of faces, a slightly wrong tilt or height. On validation frames the errors of yaw grow only with about the
-square root of the curvature's standard deviation, and they are large where the score hardly falls beside the best yaw.
+square root of the curvature's standard deviation, and they are large where the score hardly falls beside the best yaw
+and where it is doubtful whether the frame shows the target at all.
 """
 
 from __future__ import annotations
@@ -19,8 +20,9 @@ from sonarjax.refine.free import NUMBERS
 class ErrorBar(NamedTuple):
     """How the standard deviation of a refined yaw follows from the curvature and from the evidence of its frame.
 
-    log `yaw_std` = `offset` + `curvature` log(c + `SHARPEST`) + `frame_drop` log(f + `FLAT`). Here c is the standard
-    deviation from the curvature [rad], and f is `frame_drop` of `curve_evidence` [NCC].
+    log `yaw_std` = `offset` + `curvature` log(c + `SHARPEST`) + `frame_drop` log(f + `FLAT`)
+    + `odds` (l - `USUAL_ODDS`). Here c is the standard deviation from the curvature [rad], f is `frame_drop` of
+    `curve_evidence` [NCC], and l are the log-odds that the frame shows the target, by the rule, limited to `ODDS`.
     """
 
     offset: float
@@ -29,18 +31,25 @@ class ErrorBar(NamedTuple):
     """Power of the standard deviation from the curvature [1]."""
     frame_drop: float
     """Power of `frame_drop`: how far the score in the frame falls beside the best yaw [1]."""
+    odds: float
+    """Change of log `yaw_std` with the log-odds [1]."""
 
-    def std(self, curvature_std: np.ndarray, frame_drop: np.ndarray | float) -> np.ndarray:
+    def std(
+        self, curvature_std: np.ndarray, frame_drop: np.ndarray | float, probability: np.ndarray | float | None = None
+    ) -> np.ndarray:
         """Compute the standard deviations of refined yaws.
 
         Args:
             curvature_std: Standard deviations from the curvature (*batch) [rad]. The result is never below them.
             frame_drop: How far the scores in the frame fall beside the best yaw [NCC], (*batch) or one number.
+            probability: Probability that the frame shows the target [1], (*batch) or one number; None if no rule says.
 
         Returns:
             Standard deviations of yaw (*batch) [rad].
         """
         powers = self.curvature * np.log(curvature_std + SHARPEST) + self.frame_drop * log_drop(frame_drop)
+        if probability is not None:
+            powers = powers + self.odds * unusual_odds(probability)
         return np.maximum(np.exp(self.offset + powers), curvature_std)
 
 
@@ -48,15 +57,26 @@ SHARPEST = 1e-5
 """Added to the standard deviation from the curvature [rad], so that none is 0."""
 FLAT = 0.005
 """Added to a drop [NCC], so that a flat curve over yaw does not give an infinite error bar."""
-ERROR_BAR = ErrorBar(offset=-2.208, curvature=0.6008, frame_drop=-0.5164)
+ODDS = (-3.0, 4.0)
+"""Log-odds below and above these count as these [1]: beyond them the errors on validation frames change no more."""
+USUAL_ODDS = 3.0
+"""Log-odds of a usual validation frame [1]; an unknown probability counts as these."""
+ERROR_BAR = ErrorBar(offset=-5.7, curvature=0.193, frame_drop=-0.883, odds=-0.1106)
 """Fitted to the errors on validation frames, whose devices and objects occur in no test
-(experiments/fit_decision.py).
+(experiments/fit_error_bar.py).
 """
 
 
 def log_drop(drop: np.ndarray | float) -> np.ndarray | np.floating:
     """Logarithm of a drop [NCC] (*batch), as `ErrorBar` takes it."""
     return np.log(np.maximum(drop, 0.0) + FLAT)
+
+
+def unusual_odds(probability: np.ndarray | float) -> np.ndarray | np.floating:
+    """Log-odds of probabilities (*batch), limited to `ODDS`, minus `USUAL_ODDS`, as `ErrorBar` takes them."""
+    with np.errstate(divide="ignore"):  # certainty has infinite odds
+        odds = np.log(probability) - np.log1p(-np.asarray(probability))
+    return np.clip(odds, *ODDS) - USUAL_ODDS
 
 
 class PoseErrorBar(NamedTuple):
