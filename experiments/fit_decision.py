@@ -7,7 +7,7 @@ the fit in turn; one half is its threshold. Symmetric targets have weights of th
 with an object from frames without, on open floor and in tanks. Validation frames show other objects and other devices
 than any test: see `experiments.common.validation`. `--piles` fits to more objects, and did not carry over
 (docs/outside.md). What is found stands in the weights file's metadata and in `sonarjax.segment.rule`. The columns about
-yaw are those of the error bars that ship; `fit_error_bar` fits them.
+yaw are of the error bars that ship, with the rule that the segmenter had before; `fit_error_bar` fits them.
 """
 
 from __future__ import annotations

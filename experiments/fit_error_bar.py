@@ -28,7 +28,7 @@ from experiments.common.runs import Job
 from experiments.common.validation import Case, scenes, validation_cases
 from sonarjax.io import SonarjaxError
 from sonarjax.refine import ErrorBar
-from sonarjax.refine.errorbar import SHARPEST, log_drop, unusual_odds
+from sonarjax.refine.errorbar import SHARPEST, log_drop, relative_odds
 
 ASTRAY_DEG = 30.0
 """Yaw errors beyond it are of another hypothesis: no error bar is fitted to them."""
@@ -98,7 +98,9 @@ def run(settings: Settings, job: Job) -> Report:
     sought, odd = np.array([case.sought for case in every]), np.array([case.odd for case in every])
     seed = np.repeat(SEEDS, [len(cases[k]) for k in SEEDS])
     job.arrays("measured", **vars(values), sought=sought, odd=odd, seed=seed)
-    near = values.error_deg <= ASTRAY_DEG
+    near = (values.error_deg <= ASTRAY_DEG) & np.isfinite(values.curvature_deg)
+    if not near.any():
+        raise SonarjaxError(f"--count: no yaw is within {ASTRAY_DEG:g}°, so there is nothing to fit to: expected more")
     bar = fit_error_bar(values.only(near))
     sure = values.probability >= SURE
     families = {"any device": seed >= 0, "odd devices": odd, "the family": ~odd, f"score {SURE:g} or more": sure}
@@ -157,7 +159,7 @@ def fit_error_bar(values: Measured, with_score: bool = True) -> ErrorBar:
 def _known(values: Measured) -> np.ndarray:
     """What error bars are made of (frame, number): the fields of `ErrorBar` after its offset."""
     curvature = np.log(np.radians(values.curvature_deg) + SHARPEST)
-    return np.stack([curvature, log_drop(values.frame_drop), unusual_odds(values.probability)], axis=-1)
+    return np.stack([curvature, log_drop(values.frame_drop), relative_odds(values.probability)], axis=-1)
 
 
 def std_of(bar: ErrorBar, values: Measured) -> np.ndarray:

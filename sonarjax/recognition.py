@@ -86,8 +86,8 @@ class Recognition:
     map of your own."""
     evidence: Mapping[str, float] | None = field(default=None, repr=False)
     """The rule's inputs, by the names of `segment.EVIDENCE`, and `own_rise`. `yaw_std` is made of `frame_drop`
-    [NCC] of `curve_evidence`, and `curvature_std` [rad], the standard deviation from `refine_yaw`. None without
-    refinement."""
+    [NCC] of `curve_evidence`, of `curvature_std` [rad], the standard deviation from `refine_yaw`, and of the rule's
+    score. None without refinement."""
 
     @property
     def yaw_set(self) -> YawSet | None:

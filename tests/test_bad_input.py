@@ -292,7 +292,7 @@ CASES = {
     # Images that are none
     "sj.recognize(frame.labels() + 1, m, s)": "image: expected values in [0, 1], got whole numbers from ",
     "sj.recognize(im, m, s, semantic=2 * (im > 0), threshold=0.5)": "semantic: expected values in [0, 1], got whole ",
-    "sj.refine_yaw(holed, m, s, p)": "image: holds NaN or infinite values: a mask says which pixels were measured",
+    "sj.refine_yaw(holed, m, s, p)": "image: holds NaN or infinite values where it was measured (a mask",
     "sj.refine_yaw(holed, m, s, p, mask=np.isfinite(holed)).yaw.shape": "no error: ()",
     "sj.refine_pose(np.stack([im, holed]), m, s, p, sonar_poses=both)": "image: holds NaN or infinite values",
     "sj.match_bank(holed, np.eye(8)[None])": "image: holds NaN or infinite values",
@@ -300,7 +300,7 @@ CASES = {
     "sj.match_bank(holed, np.eye(8)[None], mask=np.isfinite(holed)).shape": "no error: (1,)",
     "sj.segment(holed, network.weights)": "image: holds NaN or infinite values",
     "sj.load_segmenter('otsu').labels(holed)": "image: holds NaN or infinite values",
-    "sj.calibrate([im], m.standing(), s)": "frames: expected at least one that shows something, each is of one",
+    "sj.calibrate([im], m.standing(), s)": "frames: expected at least one that shows something, but each is",
     # Something else in place of an engine
     "sj.Recognizer(m, s, segmenter='none', engine='cpu')": "engine: expected an Engine, got 'cpu'",
     "sj.PoseFinder(m, s, segmenter='none', engine='cpu')": "engine: expected an Engine, got 'cpu'",

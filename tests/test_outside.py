@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import sonarjax as sj
-from experiments import fit_decision, outside
+from experiments import fit_decision, fit_error_bar, outside
 from experiments.common.outside import OutsideFrame, OutsideSet
 from experiments.common.runs import Job
 from experiments.common.scores import area
@@ -24,12 +24,12 @@ from sonarjax.refine import ERROR_BAR, ErrorBar
 from sonarjax.segment import EVIDENCE
 
 RNG = np.random.default_rng(7)
-FITTED = Path(__file__).parents[1] / "docs/results/fit_decision.json"
+FITTED = Path(__file__).parents[1] / "docs/results/fit_error_bar.json"
 
 
 def measured(own: np.ndarray, **values: np.ndarray) -> Measured:
     count = len(own)
-    names = ("frame_drop", "own_rise", "error_deg", "std_deg", "bank", "refined", "agree")
+    names = ("own_rise", "error_deg", "std_deg", "bank", "refined", "agree")
     plain = {name: np.zeros(count) for name in names}
     return Measured(**({"evidence": np.zeros((count, 2)), "own": own} | plain | values))
 
@@ -50,13 +50,14 @@ def test_the_logistic_fit_finds_the_log_odds_it_was_drawn_from() -> None:
 
 
 def test_error_bars_are_fitted_to_errors_drawn_from_them() -> None:
-    drawn, count = ErrorBar(-2.0, 0.6, -0.4), 8000
+    drawn, count = ErrorBar(-2.0, 0.6, -0.4, -0.2), 8000
     drop, std = RNG.uniform(0.0, 0.2, count), np.exp(RNG.uniform(-4.0, 0.0, count))
-    own = np.ones(count, bool)
-    given = measured(own, frame_drop=drop, std_deg=std, error_deg=np.zeros(count))
-    error = np.abs(RNG.normal(size=count)) * np.degrees(fit_decision._std(drawn, given))
-    found = fit_decision.fit_error_bar(measured(own, frame_drop=drop, std_deg=std, error_deg=error))
-    assert fit_decision._std(found, given) == pytest.approx(fit_decision._std(drawn, given), rel=0.15)
+    given = fit_error_bar.Measured(std, drop, RNG.uniform(0.01, 1.0, count), np.zeros(count))
+    error = np.abs(RNG.normal(size=count)) * np.degrees(fit_error_bar.std_of(drawn, given))
+    found = fit_error_bar.fit_error_bar(replace(given, error_deg=error))
+    assert fit_error_bar.std_of(found, given) == pytest.approx(fit_error_bar.std_of(drawn, given), rel=0.15)
+    assert found.odds == pytest.approx(drawn.odds, abs=0.02)
+    assert fit_error_bar.fit_error_bar(replace(given, error_deg=error), with_score=False).odds == 0
 
 
 def test_the_error_bar_that_ships_is_the_one_that_was_fitted() -> None:

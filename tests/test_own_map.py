@@ -11,7 +11,7 @@ import pytest
 import sonarjax as sj
 from sonarjax.engine import PLAIN
 from sonarjax.io import SonarjaxError
-from sonarjax.refine import MAP_REFINEMENT
+from sonarjax.refine import ERROR_BAR, MAP_REFINEMENT
 from sonarjax.segment import EVIDENCE, IdentificationRule, Segmenter, load_segmenter
 
 # Few beams and a short window, so that few banks are rendered.
@@ -40,7 +40,9 @@ def image(mesh):
     ],
 )
 def test_a_segmenter_s_own_map_gives_what_the_segmenter_gives(image, mesh, segmenter, masked, refine):
-    """All but the score, since a map of one's own has no rule, and `agree`, since the frame itself is not matched."""
+    """All but the score and what error bars make of it, since a map of one's own has no rule, and `agree`, since the
+    frame itself is not matched.
+    """
     mask = np.ones(SONAR.shape, bool)
     mask[:10] = False
     mask = mask if masked else None
@@ -50,8 +52,14 @@ def test_a_segmenter_s_own_map_gives_what_the_segmenter_gives(image, mesh, segme
     given = recognizer(image, mask, semantic=load_segmenter(segmenter).semantic(filled, mask), threshold=0.5)
     assert given.agree is None
     assert given.segmenter == "given" and given.score == given.score_bank
-    for name in {field.name for field in fields(given)} - {"segmenter", "score", "agree"}:
+    for name in {field.name for field in fields(given)} - {"segmenter", "score", "agree", "yaw_std", "hypotheses"}:
         np.testing.assert_array_equal(getattr(given, name), getattr(by_name, name), err_msg=name)
+    assert [replace(h, yaw_std=None) for h in given.hypotheses] == [
+        replace(h, yaw_std=None) for h in by_name.hypotheses
+    ]
+    if refine is not None:
+        known, drop = np.array([given.evidence["curvature_std"]]), given.evidence["frame_drop"]
+        assert given.yaw_std == pytest.approx(ERROR_BAR.std(known, drop))
 
 
 @pytest.mark.parametrize(
@@ -94,3 +102,5 @@ def test_a_rule_weighs_the_evidence_and_its_threshold_decides(image, mesh):
     odds = sum(result.evidence[name] for name in EVIDENCE) - 2.0
     assert result.score == pytest.approx(1 / (1 + math.exp(-odds)))
     assert result.threshold == 0.3 and result.identified == (result.score >= 0.3)
+    known, drop = np.array([result.evidence["curvature_std"]]), result.evidence["frame_drop"]
+    assert result.yaw_std == pytest.approx(ERROR_BAR.std(known, drop, result.score))

@@ -155,10 +155,10 @@ def calibrate(
     stated = sonar.geometry_std or GeometryStd()
     sonar = sonar.replace(geometry_std=None)
     images, measured = check_frames(frames, masks, sonar)
-    starts = None if poses is None else starts_of(poses, len(images), sonar)
+    starts = [] if poses is None else starts_of(poses, len(images), sonar)
     check_floor(mesh, poses)
     check_not_blank(images, measured)
-    if poses is not None and starts is not None:
+    if poses is not None:
         prepared = [Prepared(image, mask, image) for image, mask in zip(images, measured, strict=True)]
         roomy = with_lean_room(mesh, poses, sonar)
         job = Job(prepared, roomy, sonar, names, std, engine, progress, WIDENING)

@@ -31,8 +31,13 @@ def check_kinds(mesh: Any, sonar: Any, engine: Any) -> None:
 
 
 def check_floor(mesh: Mesh, poses: Pose | None) -> None:
-    """Raise a SonarjaxError if a mesh goes through the floor, and no pose says that it is buried or leans."""
-    if poses is None or not any(np.any(np.asarray(v)) for v in (poses.z, poses.roll, poses.pitch)):
+    """Raise a SonarjaxError if a mesh goes through the floor, and the poses (frame,) do not say so by a z of their own.
+
+    Poses at which it leans are not looked at.
+    """
+    upright = np.ones(1, bool) if poses is None else (np.asarray(poses.roll) == 0) & (np.asarray(poses.pitch) == 0)
+    z = np.zeros(1) if poses is None else np.asarray(poses.z)
+    if (upright & (z == 0)).any():
         check_above_floor(mesh, "mesh")
 
 
@@ -69,9 +74,9 @@ def check_frames(frames: Any, masks: Any, sonar: Sonar) -> tuple[list[np.ndarray
 
 
 def check_not_blank(images: Sequence[np.ndarray], measured: Sequence[np.ndarray | None]) -> None:
-    """Raise a SonarjaxError if no frame (range, beam) shows anything: a fit of it would settle at once."""
+    """Raise a SonarjaxError if no frame (range, beam) shows anything: the fit would have nothing to go by."""
     if all(np.ptp(image if mask is None else image[mask]) == 0 for image, mask in zip(images, measured, strict=True)):
-        raise SonarjaxError("frames: expected at least one that shows something, each is of one grey alone")
+        raise SonarjaxError("frames: expected at least one that shows something, but each is of a single grey value")
 
 
 def starts_of(poses: Pose, count: int, sonar: Sonar) -> list[Pose]:

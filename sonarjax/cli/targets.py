@@ -81,5 +81,5 @@ def load_mesh(path: str, sonar: Any, args: argparse.Namespace, above_floor: bool
         check_above_floor(found.mesh, path)
     problem = why_not_standing(found.mesh)
     if problem is not None:
-        complain(f"{path}: its lowest point is not on the floor, {problem}: {REMEDY}", kind="note: ")
+        complain(f"{path}: the floor is its z = 0, {problem}: {REMEDY}", kind="note: ")
     return found.mesh

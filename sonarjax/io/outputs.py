@@ -50,8 +50,10 @@ def _check_file(option: str, path: str) -> None:
         raise SonarjaxError(f"{option}: {path!r}: expected a file, this is a folder")
     if not os.path.isdir(folder):
         raise SonarjaxError(f"{option}: {path!r} cannot be written: expected a folder that exists, got {folder!r}")
-    if not os.access(path if _is_device(path) else folder, os.W_OK):  # files are replaced, so their folder counts
-        raise SonarjaxError(f"{option}: {path!r} cannot be written: no permission to write in {folder!r}")
+    # A file is replaced, so the folder that holds it counts, links followed.
+    place = path if _is_device(path) else os.path.dirname(os.path.realpath(path))
+    if not os.access(place, os.W_OK):
+        raise SonarjaxError(f"{option}: {path!r} cannot be written: no permission to write to {place!r}")
 
 
 def check_ending(option: str, path: str | None, endings: Sequence[str]) -> None:

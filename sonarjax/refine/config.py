@@ -80,7 +80,7 @@ class RefineConfig:
 
     @property
     def box_margin(self) -> Int[np.ndarray, "2"]:
-        """`margin` [bins, beams]; wider than any frame if it is None."""
+        """`margin` (2,) [bins, beams]; wider than any frame if it is None."""
         return np.full(2, EVERYWHERE, np.int32) if self.margin is None else np.array(self.margin, np.int32)
 
     def bound(self, name: str) -> float:

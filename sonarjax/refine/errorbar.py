@@ -1,9 +1,9 @@
 """Error bars of a refined yaw, judged by how well the frame shows the yaw, and of a complete pose.
 
 The curvature of the objective accounts for the residuals, but not for what the template lacks: bounces, another
-brightness of faces, a slightly wrong tilt or height. On validation frames the errors of yaw grow only with about the
-square root of the curvature's standard deviation, and they are large where the score hardly falls beside the best yaw
-and where it is doubtful whether the frame shows the target at all.
+brightness of faces, a slightly wrong tilt or height. On validation frames the errors of yaw grow far less than the
+curvature's standard deviation does. They are large where the score hardly falls beside the best yaw, and where it is
+doubtful whether the frame shows the target at all.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class ErrorBar(NamedTuple):
         """
         powers = self.curvature * np.log(curvature_std + SHARPEST) + self.frame_drop * log_drop(frame_drop)
         if probability is not None:
-            powers = powers + self.odds * unusual_odds(probability)
+            powers = powers + self.odds * relative_odds(probability)
         return np.maximum(np.exp(self.offset + powers), curvature_std)
 
 
@@ -72,7 +72,7 @@ def log_drop(drop: np.ndarray | float) -> np.ndarray | np.floating:
     return np.log(np.maximum(drop, 0.0) + FLAT)
 
 
-def unusual_odds(probability: np.ndarray | float) -> np.ndarray | np.floating:
+def relative_odds(probability: np.ndarray | float) -> np.ndarray | np.floating:
     """Log-odds of probabilities (*batch), limited to `ODDS`, minus `USUAL_ODDS`, as `ErrorBar` takes them."""
     with np.errstate(divide="ignore"):  # certainty has infinite odds
         odds = np.log(probability) - np.log1p(-np.asarray(probability))

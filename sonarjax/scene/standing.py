@@ -7,14 +7,13 @@ metres away.
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
 
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.scene.mesh import Mesh
 
 STANDS_M = 0.005
 """A mesh stands on the floor if its lowest point is at most this far above or below its z = 0 [m]."""
-REMEDY = "mesh.standing(), on the command line --stand, moves it"
+REMEDY = "move it with mesh.standing(), or --stand on the command line"
 
 
 def check_above_floor(mesh: Mesh, name: str) -> None:
@@ -22,29 +21,28 @@ def check_above_floor(mesh: Mesh, name: str) -> None:
 
     One that hangs above it is fine: it may lie on supports that the mesh leaves out.
     """
-    problem = why_not_standing(mesh)
-    if problem is not None and _box(mesh)[0, 2] < 0:
-        raise SonarjaxError(f"{name}: expected a mesh whose lowest point is at z = 0, {problem}: {REMEDY}")
+    if lowest_point(mesh) < -STANDS_M:
+        raise SonarjaxError(f"{name}: expected a mesh above the floor, its z = 0, {why_not_standing(mesh)}: {REMEDY}")
 
 
 def why_not_standing(mesh: Mesh) -> str | None:
     """Where the lowest point of a mesh is, in words; None if it stands at its z = 0, to within `STANDS_M`."""
-    lowest = float(_box(mesh)[0, 2])
+    lowest = lowest_point(mesh)
     side = "above" if lowest > 0 else "below"
-    return None if abs(lowest) <= STANDS_M else f"it is {abs(lowest):.3g} m {side}"
+    return None if abs(lowest) <= STANDS_M else f"but its lowest point is {abs(lowest):.3g} m {side} that"
+
+
+def lowest_point(mesh: Mesh) -> float:
+    """Height of the lowest point of a mesh above its z = 0 [m]."""
+    return float(np.asarray(mesh.vertices)[:, 2].min())
 
 
 def check_over_origin(mesh: Mesh, name: str) -> None:
-    """Raise a SonarjaxError if the origin of a mesh lies outside its outline's box in x and y."""
-    low, high = _box(mesh)[:, :2]
-    if (low > 0).any() or (high < 0).any():
+    """Raise a SonarjaxError if the origin of a mesh lies outside its extent along x or y, by more than `STANDS_M`."""
+    vertices = np.asarray(mesh.vertices)[:, :2]
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    if (low > STANDS_M).any() or (high < -STANDS_M).any():
         x, y = (low + high) / 2
         raise SonarjaxError(
             f"{name}: expected a mesh around its origin, got one around x {x:.3g} m, y {y:.3g} m: {REMEDY}"
         )
-
-
-def _box(mesh: Mesh) -> Float[np.ndarray, "2 3"]:
-    """Least and largest coordinates [m]."""
-    vertices = np.asarray(mesh.vertices)
-    return np.stack([vertices.min(axis=0), vertices.max(axis=0)])

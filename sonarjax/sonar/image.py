@@ -13,7 +13,8 @@ from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.given import check_kind, image_array, number_array
 from sonarjax.sonar.model import Sonar
 
-NOT_FINITE = "holds NaN or infinite values: a mask says which pixels were measured"
+NOT_FINITE = "holds NaN or infinite values where it was measured (a mask says where)"
+"""What an error says about pixels that are not finite."""
 UNMEASURED = 0.5
 """Grey of pixels that were not measured."""
 BEYOND = 1.0
@@ -54,7 +55,7 @@ def checked_image(
 def check_finite(image: Any, mask: Any, name: str) -> None:
     """Raise a SonarjaxError if a measured pixel of an image is NaN or infinite.
 
-    Traced images and masks pass, because their values are not known.
+    Traced images and masks pass, because their values are not known. Arrays of an accelerator are copied to the host.
 
     Args:
         image: The image, or several, of numbers.

@@ -90,9 +90,10 @@ def table_fields(table: Mapping[str, Any], source: str) -> dict[str, Any]:
 
 
 def write_sonar(sonar: Any, path: str | Path) -> None:
-    """Write the fields of a `Sonar` to a `sonar.toml` in one step; it reads back as the same sonar.
+    """Write the fields of a `Sonar` to a `sonar.toml` in one step.
 
-    An angle may differ in the last digit of its float64: about one in ten has no number of degrees that is exactly it.
+    It reads back as the same sonar, but for the last digit of some angles: about one in ten has no number of degrees
+    that is exactly it.
 
     Raises:
         SonarjaxError: A value is impossible, traced or batched, or the file cannot be written.

@@ -230,7 +230,7 @@ class Prediction:
     transition: Float[Array, "*batch component 7 7"]
     """Matrix by which the predicted mean follows from the earlier one."""
     noise: Float[Array, "*batch component 7 7"]
-    """Covariance that the time since the earlier frame adds."""
+    """Covariance that the time since the earlier frame adds, before that of yaw is limited."""
 
 
 @full_precision
@@ -248,14 +248,13 @@ def predicted(belief: Belief, sonar: Float[Array, "3"], elapsed: Float[Array, ""
         anew = (1 - alike**2) * numbers.floor**2
         noise = jnp.diag(jnp.stack([*(v**2 * elapsed for v in drifts), anew, 0.0 * anew, 0.0 * anew]))
         cross = covariance @ transition.T
-        unlimited = transition @ cross + noise
-        keep = _kept_of_yaw(unlimited)
-        return transition @ mean, on_circle(unlimited), cross.at[:, YAW].mul(keep), transition, noise
+        spread, kept = with_limited_yaw(transition @ cross + noise)
+        return transition @ mean, spread, cross.at[:, YAW].mul(kept), transition, noise
 
     return Prediction(*jax.vmap(one)(belief.mean, belief.covariance))
 
 
-def on_circle(covariance: Float[Array, "7 7"]) -> Float[Array, "7 7"]:
+def with_limited_yaw(covariance: Float[Array, "7 7"]) -> tuple[Float[Array, "7 7"], Float[Array, ""]]:
     """Limit the variance of yaw to that of a yaw of which nothing is known, π²/3.
 
     A yaw that may have turned several times around is as good as unknown, and says next to nothing about the rate. Its
@@ -265,15 +264,11 @@ def on_circle(covariance: Float[Array, "7 7"]) -> Float[Array, "7 7"]:
         covariance: Covariance of the states (7, 7).
 
     Returns:
-        The covariance (7, 7), still positive; the same if the standard deviation of yaw is at most π/√3.
+        The covariance (7, 7), still positive, and the factor [1]; 1 if the standard deviation of yaw is at most π/√3.
     """
-    keep = _kept_of_yaw(covariance)
-    variance = keep * covariance[YAW, YAW]
-    return covariance.at[YAW].mul(keep).at[:, YAW].mul(keep).at[YAW, YAW].set(variance)
-
-
-def _kept_of_yaw(covariance: Array) -> Array:
-    return jnp.minimum(1.0, UNKNOWN_YAW / jnp.maximum(covariance[YAW, YAW], UNKNOWN_YAW))
+    kept = jnp.minimum(1.0, UNKNOWN_YAW / jnp.maximum(covariance[YAW, YAW], UNKNOWN_YAW))
+    variance = kept * covariance[YAW, YAW]
+    return covariance.at[YAW].mul(kept).at[:, YAW].mul(kept).at[YAW, YAW].set(variance), kept
 
 
 def _observation(sonar: Float[Array, "3"]) -> Float[Array, "3 7"]:

@@ -323,12 +323,16 @@ def _checked(
 
 
 def _check_unit(elapsed: list[float], motion: Motion) -> None:
-    """Raise a SonarjaxError if an object may turn more than once around between most frames: the unit is wrong."""
-    typical = float(np.median(elapsed)) if elapsed else 0.0
-    if isinstance(motion, Turning) and motion.rate_std * typical > 2 * math.pi:
+    """Raise a SonarjaxError if an object may turn more than once around between any two frames: the unit is wrong.
+
+    Two frames alone, or a few long gaps, are no reason to think so.
+    """
+    gaps = [gap for gap in elapsed if gap > 0]
+    least = min(gaps, default=0.0)
+    if isinstance(motion, Turning) and len(gaps) > 1 and motion.rate_std * least > 2 * math.pi:
         raise SonarjaxError(
-            f"times: frames are {shown(typical)} apart, in which a rate_std of {shown(motion.rate_std)} rad turns the "
-            "object more than once around; expected times in the unit of the motion's rates"
+            f"times: frames are {shown(least)} or more apart, in which a rate_std of {shown(motion.rate_std)} rad "
+            "turns the object more than once around; expected times in the unit of the motion's rates"
         )
 
 

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from sonarjax.exact import full_precision
-from sonarjax.track.belief import RATE, STATES, YAW, Belief, Numbers, on_circle, predicted
+from sonarjax.track.belief import RATE, STATES, YAW, Belief, Numbers, predicted, with_limited_yaw
 from sonarjax.track.reduce import signed
 
 RIDGE = 1e-6
@@ -92,4 +92,4 @@ def _traced_back(transition: Array, noise: Array, mean: Array, covariance: Array
     """The state before `mean`, if nothing else is known about the object; its shared errors stay as they are."""
     back = jnp.eye(STATES).at[YAW, RATE].set(-transition[YAW, RATE])
     drift = noise.at[4, 4].set(0.0)
-    return back @ mean, on_circle(back @ (covariance + drift) @ back.T)
+    return back @ mean, with_limited_yaw(back @ (covariance + drift) @ back.T)[0]

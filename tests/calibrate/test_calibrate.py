@@ -211,8 +211,8 @@ SUNKEN = SUNKEN.with_vertices(SUNKEN.vertices - jnp.array([0.0, 0.0, 0.1]))
         ([IMAGE, IMAGE], {}, r"frames: expected different frames"),
         ([IMAGE, IMAGE + 1], {"masks": [None]}, r"masks: expected one for each of the 2 frames"),
         ([IMAGE, IMAGE + 1], {"poses": sj.Pose(x=[1.0], y=0.0, yaw=0.0)}, r"poses: expected one for each"),
-        ([IMAGE], {"mesh": SUNKEN}, r"mesh: expected a mesh whose lowest point is at z = 0, it is 0.1 m below"),
-        ([IMAGE], {"mesh": SUNKEN, "poses": sj.Pose(x=[2.3])}, r"mesh: expected a mesh whose lowest point is at z = 0"),
+        ([IMAGE], {"mesh": SUNKEN}, r"mesh: expected a mesh above the floor, .* 0.1 m below"),
+        ([IMAGE], {"mesh": SUNKEN, "poses": sj.Pose(x=[2.3])}, r"mesh: expected a mesh above the floor"),
         ([IMAGE], {"free": ("tilt", "wind")}, r"free: expected names"),
         ([IMAGE], {"prior": {"roll": 0.1}}, r"prior: 'roll' is not among"),
     ],
@@ -224,7 +224,9 @@ def test_bad_input_is_one_clear_error(frames, options, what) -> None:
 
 def test_a_pose_may_say_how_the_mesh_lies() -> None:
     check_floor(SUNKEN, sj.Pose(x=[2.3], z=[0.1]))
-    check_floor(SUNKEN, sj.Pose(x=[2.3, 2.4], roll=[0.0, 0.2]))
+    check_floor(SUNKEN, sj.Pose(x=[2.3, 2.4], roll=[0.1, 0.2]))
+    with pytest.raises(sj.SonarjaxError, match="mesh: expected a mesh above the floor"):
+        check_floor(SUNKEN, sj.Pose(x=[2.3, 2.4], roll=[0.0, 0.2]))
 
 
 def test_a_mesh_may_hang_above_the_floor() -> None:

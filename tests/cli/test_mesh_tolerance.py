@@ -41,13 +41,13 @@ def test_a_mesh_that_does_not_stand_is_noted_and_made_to(command, complaint, pla
     rest = ["--sonar", place / "sonar.toml", *HOW]
     code, _, err = command("render", low, *rest, "--out", tmp_path / "e.npz")
     assert code == 0 and err.count("\n") == 1
-    assert err.startswith(f"sonarjax: note: {low}: its lowest point is not on the floor, it is 0.04 m below: ")
+    assert err.startswith(f"sonarjax: note: {low}: the floor is its z = 0, but its lowest point is 0.04 m below")
     assert command("render", low, *rest, "--stand", "--out", tmp_path / "f.npz") == (0, "", "")
     assert command("render", place / "brick.stl", *rest, "--stand", "--out", tmp_path / "g.npz") == (0, "", "")
     stood, usual = (np.load(tmp_path / name)["labels"] for name in ("f.npz", "g.npz"))
     np.testing.assert_array_equal(stood, usual)
     fit = ["calibrate", place / "a.npz", "--target", low, "--sonar", place / "sonar.toml", "--out", tmp_path / "f.toml"]
-    assert f"error: {low}: expected a mesh whose lowest point is at z = 0, it is 0.04 m below" in complaint(2, *fit)
+    assert f"error: {low}: expected a mesh above the floor, its z = 0, but its lowest" in complaint(2, *fit)
     frames = ["dataset", low, "--count", "1", "--sonar", place / "sonar.toml", "--out", tmp_path / "set"]
     assert "low: expected a mesh around its origin" in command(*frames)[2]
 

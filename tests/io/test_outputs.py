@@ -105,7 +105,15 @@ def test_a_folder_that_may_not_be_written_in_is_refused_before_anything_runs(tmp
     locked = tmp_path / "locked"
     locked.mkdir()
     allowed = os.access
-    monkeypatch.setattr(os, "access", lambda path, mode: str(path) != str(locked) and allowed(path, mode))
-    with pytest.raises(SonarjaxError, match=r"--out: .*r.jsonl' cannot be written: no permission to write in .*locked"):
-        check_outputs({"--out": str(locked / "r.jsonl")}, [])
-    check_outputs({"--out": str(tmp_path / "r.jsonl")}, [])
+    monkeypatch.setattr(
+        os, "access", lambda path, mode: os.path.realpath(path) != os.path.realpath(locked) and allowed(path, mode)
+    )
+    (tmp_path / "into.jsonl").symlink_to(locked / "r.jsonl")
+    (locked / "out_of.jsonl").symlink_to(tmp_path / "r.jsonl")
+    for path in (locked / "r.jsonl", tmp_path / "into.jsonl"):
+        with pytest.raises(
+            SonarjaxError, match=r"--out: .*jsonl' cannot be written: no permission to write to .*locked"
+        ):
+            check_outputs({"--out": str(path)}, [])
+    for path in (tmp_path / "r.jsonl", locked / "out_of.jsonl"):  # a link is followed
+        check_outputs({"--out": str(path)}, [])

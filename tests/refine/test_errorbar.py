@@ -8,13 +8,23 @@ import numpy as np
 import pytest
 
 from sonarjax.refine import ERROR_BAR, POSE_ERROR_BAR, ErrorBar, PoseErrorBar
-from sonarjax.refine.errorbar import SHARPEST
+from sonarjax.refine.errorbar import SHARPEST, USUAL_ODDS
 
 
 def test_it_is_a_product_of_powers() -> None:
-    bar = ErrorBar(offset=-3.0, curvature=0.5, frame_drop=-2.0)
-    std = bar.std(np.array([1e-4, 4e-4]) - SHARPEST, np.array([0.095, 0.995]))
-    assert std == pytest.approx([math.exp(-3.0) * 0.01 / 0.1**2, math.exp(-3.0) * 0.02])
+    bar = ErrorBar(offset=-3.0, curvature=0.5, frame_drop=-2.0, odds=-0.5)
+    known, drop = np.array([1e-4, 4e-4]) - SHARPEST, np.array([0.095, 0.995])
+    plain = np.array([math.exp(-3.0) * 0.01 / 0.1**2, math.exp(-3.0) * 0.02])
+    assert bar.std(known, drop) == pytest.approx(plain)
+    doubtful = 1 / (1 + math.exp(-USUAL_ODDS + 1))  # log-odds one below the usual
+    assert bar.std(known, drop, doubtful) == pytest.approx(plain * math.exp(0.5))
+
+
+def test_certainty_has_a_finite_error_bar() -> None:
+    """Beyond some odds, more or less of them change nothing."""
+    sure, surer = (ERROR_BAR.std(np.full(1, 1e-3), 0.1, p) for p in (0.999, 1.0))
+    doubtful, absent = (ERROR_BAR.std(np.full(1, 1e-3), 0.1, p) for p in (0.01, 0.0))
+    assert sure == surer < ERROR_BAR.std(np.full(1, 1e-3), 0.1) < doubtful == absent
 
 
 def test_the_curvature_is_the_least() -> None:

@@ -90,7 +90,7 @@ def other(frames: np.ndarray, poses: sj.Pose = POSES, **options: object) -> None
         (lambda: other(DIFFERENT, sj.Pose(9.0, 0.0, YAWS)), r"poses\[0\]: expected the object in view"),
         (
             lambda: sj.fit_size(DIFFERENT, sj.Mesh.from_arrays(*box(BRICK_M, (0.0, 0.0, 0.0))), SONAR, POSES),
-            "mesh: expected a mesh whose lowest point is at z = 0, it is 0.0[0-9]+ m below: mesh.standing",
+            "mesh: expected a mesh above the floor, .* 0.0[0-9]+ m below that: move it with mesh.standing",
         ),
         (lambda: other(BLANK, free=("depth",)), "free: .*unknown 'depth'"),
         (lambda: other(BLANK, free=()), "free: expected names"),
