@@ -98,7 +98,7 @@ def run(settings: Settings, job: Job) -> Report:
     sought, odd = np.array([case.sought for case in every]), np.array([case.odd for case in every])
     seed = np.repeat(SEEDS, [len(cases[k]) for k in SEEDS])
     job.arrays("measured", **vars(values), sought=sought, odd=odd, seed=seed)
-    near = (values.error_deg <= ASTRAY_DEG) & np.isfinite(values.curvature_deg)
+    near = _near(values)
     if not near.any():
         raise SonarjaxError(f"--count: no yaw is within {ASTRAY_DEG:g}°, so there is nothing to fit to: expected more")
     bar = fit_error_bar(values.only(near))
@@ -167,8 +167,13 @@ def std_of(bar: ErrorBar, values: Measured) -> np.ndarray:
     return bar.std(np.radians(values.curvature_deg), values.frame_drop, values.probability)
 
 
+def _near(values: Measured) -> np.ndarray:
+    """Which frames (frame,) an error bar is fitted to: neither astray nor without a curvature."""
+    return (values.error_deg <= ASTRAY_DEG) & np.isfinite(values.curvature_deg)
+
+
 def _row(values: Measured, bar: ErrorBar, chosen: np.ndarray) -> dict[str, Any]:
-    near = values.only(chosen & (values.error_deg <= ASTRAY_DEG))
+    near = values.only(chosen & _near(values))
     std = np.degrees(std_of(bar, near))
     return {
         "count": int(chosen.sum()),
