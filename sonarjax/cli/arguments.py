@@ -34,13 +34,8 @@ class Parser(argparse.ArgumentParser):
 
 def add_mesh_options(command: argparse.ArgumentParser) -> None:
     """Add how the command's mesh files are read: `--unit-m`, `--stand` and `--mesh-tolerance`."""
-    command.add_argument(
-        "--unit-m", metavar="M", type=number, help="length of the mesh file's unit [m], such as 0.001 for millimetres"
-    )
-    command.add_argument(
-        "--stand", action="store_true",
-        help="move the mesh so that its lowest point is at z = 0 and its middle at x = y = 0",
-    )  # fmt: skip
+    command.add_argument("--unit-m", metavar="M", type=number, help="the mesh file's unit [m], such as 0.001 for mm")
+    command.add_argument("--stand", action="store_true", help="move the mesh to its origin and onto the floor")
     command.add_argument(
         "--mesh-tolerance", metavar="M", type=partial(limited, low=0.0, high=1.0),
         help="how far [m] the surface of a very fine mesh may move when its triangles are reduced (default: less than "
