@@ -108,7 +108,7 @@ def run(settings: Settings, job: Job) -> Report:
     likely = [_likeliness(values.only(near), sought[near], seed[near], with_score) for with_score in (False, True)]
     return {
         "error_bar": bar._asdict(),
-        "rows": [{"frames": name} | _row(values, bar, one) for name, one in families.items() if one.any()],
+        "rows": [{"frames": name} | _row(values, bar, one) for name, one in families.items() if (one & near).any()],
         "likely": likely,
     }
 

@@ -63,8 +63,8 @@ def load_mesh(path: str, sonar: Any, args: argparse.Namespace, above_floor: bool
         above_floor: Refuse a mesh that goes through the floor, instead of a note.
 
     Raises:
-        SonarjaxError: The mesh cannot be read, is too large for the sonar's view, or goes through the
-            floor but must not.
+        SonarjaxError: The mesh cannot be read, is too large for the sonar's view, or goes through the floor
+            although it must not.
     """
     from sonarjax.render import check_fits, reduced_for  # not at the top of the file: JAX must be set up first
     from sonarjax.scene import Mesh

@@ -58,7 +58,7 @@ SHARPEST = 1e-5
 FLAT = 0.005
 """Added to a drop [NCC], so that a flat curve over yaw does not give an infinite error bar."""
 ODDS = (-3.0, 4.0)
-"""Log-odds below and above these count as these [1]: beyond them the errors on validation frames change no more."""
+"""Log-odds below and above these count as these [1]; with wider limits the validation errors are no likelier."""
 USUAL_ODDS = 3.0
 """Log-odds of a usual validation frame [1]; an unknown probability counts as these."""
 ERROR_BAR = ErrorBar(offset=-4.148, curvature=0.3259, frame_drop=-0.6136, odds=-0.1573)

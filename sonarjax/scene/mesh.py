@@ -178,8 +178,7 @@ class Mesh:
     def standing(self) -> Mesh:
         """Return the mesh moved so that it stands at its origin: the lowest point at z = 0, the middle at x = y = 0.
 
-        Poses place the origin, and `calibrate` and `fit_size` expect an object that stands on the floor. CAD programs
-        often put the origin elsewhere.
+        Poses place the origin, and take z = 0 of the mesh for the floor. CAD programs often put the origin elsewhere.
 
         Returns:
             The moved mesh; the middle is that of its extent along x and y.

@@ -107,7 +107,7 @@ class Sonar:
         return sonar_from_dict(read_toml(path), str(path))
 
     def to_toml(self, path: str | Path) -> None:
-        """Write a `sonar.toml` that `from_toml` reads back as the same sonar.
+        """Write a `sonar.toml` that `from_toml` reads back as the same sonar, but for the last digit of some angles.
 
         Args:
             path: The file to write.

@@ -101,7 +101,7 @@ class Tracker:
 
         Raises:
             SonarjaxError: There is no recognizer, it has several targets, `motion` is not a motion, `config` no
-                `TrackConfig`, or `threshold` no finite number.
+                `TrackConfig`, or `threshold` no number.
         """
         check_kind(recognizer, Recognizer, "recognizer")
         check_kind(config, TrackConfig, "config")
