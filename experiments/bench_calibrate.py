@@ -1,4 +1,4 @@
-"""How long does a calibration take, and does the time grow with the number of frames and no faster?
+"""How long does a calibration take, and does the time grow no faster than the number of frames?
 
 python -m experiments.bench_calibrate [--preset smoke] [--help]
 

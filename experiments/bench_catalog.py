@@ -146,7 +146,7 @@ def resident_mb() -> float:
 LINES = {
     "prepare_s": "to prepare, with compiling [s]", "prepare_work_s": "to prepare, processor time [s]",
     "before_mb": "resident before [MB]", "resident_mb": "resident with all that is kept [MB]",
-    "residual": "largest error of a first look's score", "kept_s": "a frame, banks kept [s]",
+    "residual": "bound on the error of a first look's score", "kept_s": "a frame, banks kept [s]",
     "slowest_s": "the slowest of these [s]", "work_s": "a frame, banks kept, processor time [s]",
     "anew_s": "a frame, candidates' banks rendered anew [s]", "network_s": "of a frame: the network [s]",
     "look_s": "of a frame: the first look at map and frame [s]", "candidates": "candidates looked at closely, mean",

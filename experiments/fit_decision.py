@@ -6,8 +6,8 @@ A logistic regression weighs the evidence of `sonarjax.refine.evidence`, its AUC
 the fit in turn; one half is its threshold. Symmetric targets have weights of their own. Another regression tells frames
 with an object from frames without, on open floor and in tanks. Validation frames show other objects and other devices
 than any test: see `experiments.common.validation`. `--piles` fits to more objects, and did not carry over
-(docs/outside.md). What is found stands in the weights file's metadata and in `sonarjax.segment.rule`. The columns about
-yaw are of the error bars that ship, with the rule that the segmenter had before; `fit_error_bar` fits them.
+(docs/outside.md). What is found stands in the weights file's metadata and in `sonarjax.segment.rule`. The columns
+`within 1` and `within 2` use the shipped error bars (`fit_error_bar` fits them) and the rule from before this fit.
 """
 
 from __future__ import annotations

@@ -2,9 +2,10 @@
 
 python -m experiments.fit_refinement [--preset smoke] [--help]
 
-Refined is on the segmenter's map, on the frame itself, or on the map and then on the frame, to which the semantic image
-or the echo is fitted: one row a setting and segmenter, best first. How `recognize` refines last is marked, and also
-tried with fewer and with more iterations. Test and real frames play no part.
+Yaw is refined on the segmenter's map, on the frame itself, or on the map and then on the frame. On the frame the
+semantic template or the echo template is fitted. There is one row for each setting and segmenter, best first. How
+`recognize` refines last is marked, and also tried with fewer and with more iterations. Test and real frames play no
+part.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""Is the derivative of a refined pose right? The implicit one beside solving again with everything moved a little.
+"""Is the derivative of a refined pose right? Compared with solving slightly changed problems again.
 
 python -m experiments.implicit_derivative [--preset smoke] [--help]
 
 Yaw, x and y of a solution are differentiated by what it was found from: the tilt and the height of the sonar, where its
-range window starts, a stretch of the object, and the image (towards that of a turned object). Beside it stand lines
-through solutions of moved problems. Errors are divided by the RMS of their slopes over all frames. `labels` are images
-of labels; `noise` are frames of the nominal sensor, fitted with a plain template.
+range window starts, a stretch of the object, and the image (towards that of a turned object). They are compared with
+lines fitted to the solutions of slightly changed problems. Errors are divided by the RMS of their slopes over all
+frames. `labels` are images of labels; `noise` are frames of the nominal sensor, fitted with a plain template.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""Do frames tell beyond which angle of incidence a sonar hears no echo, and does fitting it spoil the geometry?
+"""Do frames show beyond which angle of incidence a sonar hears no echo, and does fitting it harm the geometry?
 
 python -m experiments.incidence_limit [--devices N] [--preset smoke] [--help]
 
 Drawn devices, each with another look, tilt and height than the nominal sonar, see the target at random yaws and places.
 Facets that are hit beyond a drawn limit send nothing back: their reflectivity is set to 0, with normals taken from the
-mesh alone. Some devices have no limit. Each is calibrated with the limit taken as none, and with the limit free.
+mesh alone. Some devices have no limit. Each is calibrated as if there were none, and with the limit free.
 """
 
 from __future__ import annotations

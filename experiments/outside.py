@@ -1,10 +1,10 @@
-"""What is left of all that outside our own simulator? Frames of an independent judge, another simulator, a real tank.
+"""How good are the results on frames that we did not draw: an independent judge's, another simulator's, a real tank's?
 
 python -m experiments.outside [--external DIR] [--tank DIR] [--trainings FILE FILE] [--preset smoke] [--help]
 
 The judge (`experiments.judge`) is a ray caster on Embree and a sensor model that import nothing from the package's
 renderer or sensor. The folders of another simulator's frames and of the tank are not part of the project; what is not
-given is left out. No threshold, setting or network was chosen on any of these frames, with two exceptions that
+given is left out. No threshold, setting or network was chosen on any of these frames, with exceptions that
 docs/outside.md names; it logs every run.
 
 `right` is a target that is identified with its yaw within 5°, or another object that is refused.

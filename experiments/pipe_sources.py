@@ -1,4 +1,4 @@
-"""Which number of the geometry could the real pipe's error in yaw come from, as far as it goes with twice the yaw?
+"""Which number of the geometry could cause the part of the real pipe's yaw error that varies with twice the yaw?
 
 python -m experiments.pipe_sources [--data DIR] [--preset smoke] [--help]
 

@@ -1,4 +1,4 @@
-"""Recognize a stream of frames in order: a folder, a recording (.aris, .ddf, .raw) or a simulated turn.
+"""Recognize a stream of frames in order: a folder, a recording (ARIS, DIDSON, Oculus, a ROS bag) or a simulated turn.
 
 python -m experiments.recognize_stream --source FOLDER --target mine.stl --sonar sonar.toml [--track] [--follow 30]
 python -m experiments.recognize_stream [--preset smoke] [--help]

@@ -8,7 +8,7 @@ single frames (or, stricter, of those within 10°), and the floor of what all fr
 of them averages out: it is measured (one-way analysis of variance of the frames' own errors). Seen from known places
 all around, it does average out. A pile that is the same after half a turn must keep both its yaws. With the real frames
 of `real_turntable` (--data, or SONARJAX_REAL_DATA), its pipe's turn is followed at a rate that is not told. Nothing is
-chosen on any of these frames.
+chosen on the drawn frames; docs/track.md names two choices that were made after a first run on the real ones.
 """
 
 from __future__ import annotations

@@ -40,8 +40,8 @@ MIN_COMPILE_SECONDS = 0.2
 # versions do not know this flag, and end a process that sets it.
 FLAGS = ("--xla_cpu_use_fusion_emitters=false",) if jax.__version_info__ < (0, 11) else ()
 COMPILER_OPTIONS = {"xla_backend_optimization_level": 1, "xla_llvm_disable_expensive_passes": True}
-"""How the programs of `CpuEngine` are compiled: in four fifths of the time, into code that is as fast as far as
-measurements on two busy cores can tell. JAX_DISABLE_MOST_OPTIMIZATIONS, a setting of JAX, goes before them.
+"""How the programs of `CpuEngine` are compiled: in four fifths of the time, into code that was no slower
+where it was measured. JAX's setting JAX_DISABLE_MOST_OPTIMIZATIONS takes precedence.
 """
 # <malloc.h>: M_ARENA_MAX, M_MMAP_MAX, M_TRIM_THRESHOLD and M_TOP_PAD.
 _MEMORY = {-8: 1, -4: 0, -1: 2**31 - 1, -2: 256 * 2**20}

@@ -85,9 +85,9 @@ class Recognition:
     refinement decides. None where only one of them is matched: without refinement, for the segmenter `none`, and with a
     map of your own."""
     evidence: Mapping[str, float] | None = field(default=None, repr=False)
-    """The rule's inputs, by the names of `segment.EVIDENCE`, and `own_rise`. `yaw_std` is made of `frame_drop`
-    [NCC] of `curve_evidence`, of `curvature_std` [rad], the standard deviation from `refine_yaw`, and of the rule's
-    score. None without refinement."""
+    """The rule's inputs, by the names of `segment.EVIDENCE`, and `own_rise`. It also holds what `yaw_std` is
+    computed from, beside the score: `frame_drop` [NCC] (see `curve_evidence`), and `curvature_std` [rad], the standard
+    deviation from `refine_yaw`. None without refinement."""
 
     @property
     def yaw_set(self) -> YawSet | None:

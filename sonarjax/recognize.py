@@ -375,8 +375,8 @@ def refine_on_frame(
     """Refine poses on the grey frame instead of its map, with the template that fits the frame better.
 
     A map shows where highlight and shadow are, but its edges are blunt, and an object is equally bright all over. The
-    echo template fits a sonar's frame (on validation frames a median error of 0.3° instead of 0.5°), the semantic one a
-    frame that was drawn without a sensor. The better score at the start decides (experiments/fit_refinement.py).
+    echo template fits a sonar's frame, the semantic one a frame that was drawn without a sensor. The better score at
+    the start decides (experiments/fit_refinement.py).
 
     Args:
         image: Grey frame (range, beam).

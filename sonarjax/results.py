@@ -10,7 +10,7 @@ from sonarjax.refine import YawMode, YawSet
 from sonarjax.track.sequence import Tracked
 
 SCHEMA = 2
-"""Version of a line of results; 2 has `converged`, `target`, `runner_up` and `margin`, since 0.2 `agree` too."""
+"""Version of a line; 2 has `converged`, `target`, `runner_up` and `margin`, since 0.2 `agree` and `yaw_set` too."""
 
 
 COVERAGES = {"within_68": 0.68, "within_95": 0.95}

@@ -172,7 +172,7 @@ class Work:
     refine: Lazy = field(compare=False)
     """A RefineConfig, or None to stop at the yaw bin."""
     threshold: float | None = field(compare=False)
-    """Score from which on the target counts as shown; None for the shipped threshold."""
+    """Score from which on the target counts as shown; None for the segmenter's own."""
 
 
 def recognize_on_worker(work: Work, named: tuple[str, Lazy], engine: Lazy) -> dict[str, Any]:

@@ -271,7 +271,7 @@ def is_traced(*trees: Any) -> bool:
 def plan_refinement(
     mesh: Mesh, sonar: Sonar, start: Pose, config: RefineConfig, free: Sequence[str] = ON_FLOOR
 ) -> WindowSize:
-    """Plan the size of the window that refinement renders; a function of the host.
+    """Plan the size of the window that refinement renders; runs on the host.
 
     The window holds the object and its shadow at each start and any yaw, with `SLACK_M` around. It has room for the
     lift and lean of the starts, and for as much more as the bounds of `free` z, roll and pitch allow. The object itself

@@ -1,4 +1,4 @@
-"""Cut triangles with a half-plane of constant azimuth into segments in the plane of elevation tangent and 1/range.
+"""Cut triangles with a half-plane of constant azimuth into segments over elevation tangent and 1/planar range.
 
 With tau = tan(elevation) and s = 1 / planar range, a plane of eq. 1 becomes the straight line s = G · (cos θ, sin θ,
 tau). The nearest surface of a slice is therefore the upper envelope of straight segments.

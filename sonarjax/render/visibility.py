@@ -17,7 +17,7 @@ from sonarjax.render.segments import CROSSING, EDGE, FIXED, Segments
 INSET = 0.02  # sample the nearest triangle this share of an interval inside its ends: at the end itself neighbours tie
 TOUCH = 1e-6  # segments touch if their ends in tau differ by less: the two triangles at an edge round it differently
 MEET = 0.1  # two lines meet at an end if their distance there is below this share of their largest between the samples
-BEND = 1e-4  # lines whose largest distance is below this share of 1/range count as one line
+BEND = 1e-4  # lines whose largest distance is below this share of 1/planar range count as one line
 EXACT_LIMIT = 32  # above this many candidates a slice is sampled in elevation instead
 
 
@@ -55,9 +55,9 @@ def is_sampled(segments: Segments) -> bool:
 
 
 def _nearest(segments: Segments, tau: Float[Array, "slab point"]) -> Int[Array, "slab point"]:
-    """The candidate with the largest 1/range at each elevation tangent, or -1 where there is none.
+    """The candidate with the largest 1/planar range at each elevation tangent, or -1 where there is none.
 
-    A single integer maximum finds it, because the candidate's number replaces the lowest bits of 1/range. These bits
+    A single integer maximum finds it, because the candidate's number replaces the lowest bits of that. These bits
     are worth 1/2¹³ of the range for 1,024 candidates and 1/2¹⁹ for 16, which is below any sonar's resolution. The loop
     over candidates keeps XLA from fusing the segments into the comparison, where it would compute them anew at every
     point.

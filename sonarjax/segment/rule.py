@@ -1,8 +1,8 @@
 """The decision about a refined match: logistic combinations of evidence, fitted to validation frames.
 
 One tells the target from other objects, another tells objects from bare floor and empty tanks. A frame shows the target
-only if both say so, and the score is the smaller of both probabilities. The less a target's best yaw can stand out, the
-more a third takes the place of the first.
+only if both say so, and the score is the smaller of both probabilities. Targets that look the same at all yaws are
+judged by a third instead of the first; between these and plain targets, the two are mixed.
 """
 
 from __future__ import annotations

@@ -68,8 +68,8 @@ def observe(
 
     If the frame was rendered with the sonar's own aperture, the vertical pattern ends sharply there. `observe_scene`
     renders beyond it, so that the image fades. Works under `jit` and `vmap` over keys, models, frames and sonars.
-    Differentiable, except that the derivative of the quantisation is defined as 1. No source for the order of effects:
-    each has its own. The automatic gain, energy divided by a power of its mean, is a model of ours.
+    Differentiable, except that the derivative of the quantisation is defined as 1. Each effect has a published source;
+    their order is ours. The automatic gain, energy divided by a power of its mean, is a model of ours.
 
     Args:
         frame: The rendered frame.

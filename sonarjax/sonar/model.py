@@ -59,7 +59,7 @@ class Sonar:
     highlight_max_incidence: Scalar = 90.0
     """Largest angle of incidence, from a facet's normal, that still gives highlight [deg]; 90 for any.
 
-    Echoes in templates fade about it; `intensity` does not depend on it.
+    Echoes in templates fade out around it; `intensity` does not depend on it.
     """
     floor: FloorPatch | None = None
     """A platform instead of an endless floor; None for the endless floor."""

@@ -67,8 +67,8 @@ class TrackConfig:
     misses: float = 0.02
     """Share of frames that show the target but have no right hypothesis [1]."""
     alias: float = 0.1
-    """Share of wrong hypotheses that lie at another pose that is believed in [1], rather than anywhere. Objects
-    look alike at some other yaws, and the errors of a frame are much like those of the frame before.
+    """Share of wrong hypotheses [1] that lie at another mode of the belief; the others may lie anywhere. Objects look
+    alike at some other yaws, and the errors of a frame are much like those of the frame before.
     """
     floor: float = math.radians(0.53)
     """Standard deviation of the part of the yaw error that all frames of one aspect share [rad]."""
