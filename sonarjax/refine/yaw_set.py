@@ -68,7 +68,7 @@ class YawWeights(NamedTuple):
     """Factor on the standard deviations of those errors [1]."""
 
 
-YAW_WEIGHTS = YawWeights(softness=0.01, slope=1.0, unrefined=0.0, tail=0.1, tail_scale=2.5)
+YAW_WEIGHTS = YawWeights(softness=0.01, slope=1.0, unrefined=0.0, tail=0.0, tail_scale=2.0)
 """Fitted to validation frames, whose devices and objects occur in no test (experiments/fit_yaw_set.py)."""
 
 
