@@ -86,7 +86,7 @@ class ArisLayout:
     starts: Sequence[int | SonarjaxError]
     """Where each frame begins [bytes]; for a frame that is cut short or states an impossible size, its error."""
     size: FrameSize | None
-    """The size that every frame must have; None if they may differ."""
+    """Every frame must take as many bytes as one of this size; None if they may differ."""
     rest: int
     """Bytes after the last complete frame."""
 
@@ -144,7 +144,8 @@ def _even_layout(data: Content, name: str, size: FrameSize) -> ArisLayout | None
         return None
     last = _size_at(data, name, end)
     complete = last is not None and last.frame_bytes <= rest
-    if complete or _is_file_header(data, end) or not _is_end(data, end):
+    later = next(_headers_after(data, name, end, len(data)), None)  # frames became smaller, the first is damaged
+    if complete or later or _is_file_header(data, end) or not _is_end(data, end):
         return None
     return ArisLayout(starts, size, rest)
 
@@ -168,6 +169,8 @@ def _walked_layout(data: Content, name: str, usual: FrameSize) -> ArisLayout:
             continue
         following = _next_start(data, name, position)
         if own is not None and not _is_end(data, position + usual.frame_bytes):
+            if following is None and end > len(data):
+                break  # the last frame is larger than those before it, and unfinished
             fits = end <= (len(data) if following is None else following)
             usual = own if fits else usual  # then the next header is damaged, not the size in this one
         header = Header(data, name, position, f"frame {len(starts)}")
@@ -275,7 +278,7 @@ def _read(data: Content, name: str, layout: ArisLayout, number: int) -> Frame:
     fields = header.fields(FRAME_FIELDS, HEADER_BYTES)
     _check_signature(header, fields["Version"])
     size = _size(header, fields)
-    if layout.size is not None and size != layout.size:
+    if layout.size is not None and size.frame_bytes != layout.size.frame_bytes:
         raise _other_size(header, size, layout.size)
     if fields["ReorderedSamples"] == 0:
         raise header.error(

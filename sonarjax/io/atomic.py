@@ -32,7 +32,8 @@ def write_atomic(path: PathLike, writer: Writer) -> None:
     """Let `writer(file)` write a binary file, then move it to `path` in one step.
 
     A device such as /dev/null is written to directly. An OSError of `writer` becomes a SonarjaxError; its other
-    exceptions pass through. In no case is a partial file left behind.
+    exceptions pass through. After any of them, or Ctrl-C, no partial file is left behind. A process that is ended by a
+    signal such as SIGTERM or SIGKILL may leave its temporary file, `.sonarjax-*.tmp`; `path` is whole then too.
 
     Args:
         path: File to write. If it is a link, the file that it points to is written, and the link is kept.

@@ -17,6 +17,7 @@ from sonarjax.io.fan import fan_to_polar, nearest_range, polar_to_fan
 from sonarjax.io.fan_geometry import FanGeometry, PictureBox, content_box, even_beams, fan_around, fit_fan
 from sonarjax.io.frame import Frame
 from sonarjax.io.given import is_number, shown
+from sonarjax.io.header import RANGE_LIMIT_M
 from sonarjax.io.load import iter_frames, iter_records, split_spec
 from sonarjax.io.ros import write_bag
 
@@ -183,7 +184,8 @@ def _readable(specs: Sequence[str], out: str, report: Callable[[SonarjaxError], 
 def convert(frame: Frame, out: str, options: FanOptions = FanOptions(), axes: PolarAxes | None = None) -> str:
     """Convert a fan picture to a polar frame in an NPZ, or a polar frame to a fan picture in a PNG, and write it.
 
-    A note on stderr tells of a fan picture whose pixels, as its fan was found, are not square.
+    A note on stderr tells of a fan picture whose pixels, as its fan was found, are not square, and of a polar frame
+    whose mask is lost in the picture.
 
     Args:
         frame: Fan picture (row, column) if `out` ends in .npz, polar frame (range, beam) if it ends in .png.
@@ -224,7 +226,8 @@ def _to_polar(picture: Frame, out: str, options: FanOptions, axes: PolarAxes | N
         raise SonarjaxError("--apex: cannot be used with --whole, which says where the sonar is")
     opening_deg, near, far = _sector(_with_axes(options, axes), "a fan picture, unless --sonar is given")
     rows, columns = picture.shape
-    box = PictureBox(0.0, float(rows), 0.0, float(columns)) if options.frame else content_box(picture.image)
+    bright = picture.image if picture.mask is None else np.where(picture.mask, picture.image, np.float32(0))
+    box = PictureBox(0.0, float(rows), 0.0, float(columns)) if options.frame else content_box(bright)
     _check_size(box.bottom - box.top, box.right - box.left)
     apex = float(rows) if options.whole else options.apex
     geometry = fit_fan(box, math.radians(opening_deg), near, far, apex, _edges_in_box(options, axes))
@@ -232,7 +235,9 @@ def _to_polar(picture: Frame, out: str, options: FanOptions, axes: PolarAxes | N
         bins, beams = geometry.polar_shape()
         bins, beams = options.bins or bins, options.beams or beams
         axes = PolarAxes(geometry.azimuth(beams), geometry.range_edges(bins))
-    image, mask = fan_to_polar(picture.image, geometry, axes.shape, azimuth=axes.azimuth, range_edges=axes.range_edges)
+    if axes.range_edges[-1] > RANGE_LIMIT_M:  # our own reader would refuse it
+        raise SonarjaxError(f"fan: range: expected at most {RANGE_LIMIT_M:g} m, got {axes.range_edges[-1]:g} m")
+    image, mask = fan_to_polar(picture.image, geometry, axes.shape, 3, axes.azimuth, axes.range_edges, picture.mask)
     if not mask.any():
         raise SonarjaxError("fan: expected a fan that overlaps the picture, it lies outside")
     _check_pixels(geometry)
@@ -285,8 +290,20 @@ def _to_fan(polar: Frame, out: str, options: FanOptions, axes: PolarAxes | None)
     _check_size(*shape, " of the frame: give a larger --width")
     picture, seen = polar_to_fan(polar.image, azimuth, edges, geometry, shape, polar.mask)
     write_png(out, np.where(seen, np.maximum(picture, DARKEST), 0.0))
+    _note_mask(polar)
     size = f"{shape[0]} x {shape[1]} pixels"
     return f"{out}: {size}, {_told(math.degrees(opening), near, far)}, {seen.mean():.1%} of the pixels measured"
+
+
+def _note_mask(polar: Frame) -> None:
+    """Tell what becomes of the mask, because the picture cannot."""
+    if polar.mask is not None and not polar.mask.all():
+        lost = f"{np.count_nonzero(~polar.mask)} of {polar.mask.size} pixels were not measured"
+        complain(
+            f"{polar.source}: mask: {lost}: a fan picture holds no mask, so they are black and come back as measured; "
+            "to convert it back, give --frame, or its ranges may change",
+            kind="note: ",
+        )
 
 
 def _pixel(opening: float, near: float, far: float, shape: tuple[int, int]) -> float:

@@ -4,7 +4,8 @@ Polar images follow the package's convention: axis 0 is range, near first, axis 
 column 0 is starboard-most. `FanGeometry` says where a picture's pixels lie. Between pixels both directions interpolate:
 with `order` 3 by a cubic spline (the default, which keeps speckle), with 1 linearly (never brighter or darker than the
 pixels around), with 0 by the nearest pixel, so that labels stay labels. A pixel that was not measured (black corners, a
-mask) takes the value of the nearest measured one, so that edges neither darken nor ring.
+mask) takes the value of the nearest measured one, so that edges neither darken nor ring. What a mask leaves out
+does not shrink: a pixel or polar cell counts as measured only if its centre was.
 
 A pixel of a picture that covers several polar cells takes the mean of that many points in it. A polar cell takes the
 picture's value at its centre: a picture of a sonar's own cells passes through it there, and a mean over the cell would
@@ -48,6 +49,7 @@ def fan_to_polar(
     order: Order = 3,
     azimuth: Real[np.ndarray, "beam"] | None = None,
     range_edges: Real[np.ndarray, "range_edge"] | None = None,
+    mask: Bool[np.ndarray, "row column"] | None = None,
 ) -> tuple[Shaped[np.ndarray, "range beam"], Bool[np.ndarray, "range beam"]]:
     """Turn a fan picture (row, column) into a polar image (range, beam).
 
@@ -59,6 +61,7 @@ def fan_to_polar(
         order: Interpolation: 3 for a cubic spline, 1 for linear, 0 for the nearest pixel (labels).
         azimuth: Beam centres (beam,) in ascending order [rad]; None divides the sector evenly.
         range_edges: Edges (range_edge,) of the range bins in ascending order [m]; None divides the sector evenly.
+        mask: True where the picture was measured (row, column); None means in all of the sector.
 
     Returns:
         Image (range, beam) and mask (range, beam). The mask is true where the picture shows the cell; elsewhere the
@@ -66,9 +69,9 @@ def fan_to_polar(
         picture's type.
 
     Raises:
-        SonarjaxError: The picture or shape is empty, or is not of two axes; a pixel of the sector or an axis is not
-            finite; an axis does not ascend or does not fit `shape`; `order` is another number; or there are more than
-            `PIXEL_LIMIT` cells.
+        SonarjaxError: The picture or shape is empty, or is not of two axes; a measured pixel of the sector or an axis
+            is not finite; the mask does not fit the picture; an axis does not ascend or does not fit `shape`; `order`
+            is another number; or there are more than `PIXEL_LIMIT` cells.
     """
     picture = _image("picture", picture, order)
     azimuth, range_edges = _axis("azimuth", azimuth), _axis("range_edges", range_edges)
@@ -78,9 +81,13 @@ def fan_to_polar(
     _check_axis("azimuth", azimuth, beams)
     _check_axis("range_edges", range_edges, bins + 1)
     edges = range_edges, _beam_edges(azimuth, geometry.opening)
-    inside = _inside(geometry, picture.shape)
     parts = (1, 1) if order == 0 else _parts_of_cell(geometry, *edges)
-    return _sample(picture, inside, _places_in_picture(geometry, edges, parts), (bins, beams), order)
+    measured = _measured(mask, picture.shape)
+    inside = measured & _inside(geometry, picture.shape)
+    image, seen = _sample(picture, inside, _places_in_picture(geometry, edges, parts), (bins, beams), order)
+    if mask is not None:
+        seen &= _at_centres(measured, _places_in_picture(geometry, edges, (1, 1)))
+    return np.where(seen, image, image.dtype.type(0)), seen
 
 
 def polar_to_fan(
@@ -119,14 +126,30 @@ def polar_to_fan(
     azimuth, range_edges = _axis("azimuth", azimuth), _axis("range_edges", range_edges)
     _check_axis("azimuth", azimuth, image.shape[1])
     _check_axis("range_edges", range_edges, image.shape[0] + 1)
-    measured = np.ones(image.shape, bool) if mask is None else np.asarray(number_array(mask, "fan: mask"), bool)
-    if measured.shape != image.shape:
-        raise SonarjaxError(f"fan: mask: expected the image's shape {image.shape}, got {measured.shape}")
+    measured = _measured(mask, image.shape)
     edges = range_edges, _beam_edges(azimuth, geometry.opening)
     parts = (1, 1) if order == 0 else _parts_of_pixel(geometry, *edges)
     picture, seen = _sample(image, measured, _places_in_image(geometry, shape, edges, parts), (rows, columns), order)
     seen &= _covered(*geometry.places(*_centres(shape)), edges)
+    if mask is not None:
+        seen &= _at_centres(measured, _places_in_image(geometry, shape, edges, (1, 1)))
     return np.where(seen, picture, picture.dtype.type(0)), seen
+
+
+def _measured(mask: Any, shape: tuple[int, ...]) -> Bool[np.ndarray, "row column"]:
+    """The mask of an image of this shape; true everywhere if there is none."""
+    if mask is None:
+        return np.ones(shape, bool)
+    measured = np.asarray(number_array(mask, "fan: mask"), bool)
+    if measured.shape != shape:
+        raise SonarjaxError(f"fan: mask: expected the image's shape {shape}, got {measured.shape}")
+    return measured
+
+
+def _at_centres(measured: np.ndarray, places: Places) -> np.ndarray:
+    """Whether the middle of each cell, the first of its `places`, lies in a measured pixel."""
+    rows, columns = (np.floor(at + 0.5).astype(int) for at in next(places))
+    return measured[np.clip(rows, 0, measured.shape[0] - 1), np.clip(columns, 0, measured.shape[1] - 1)]
 
 
 def _sample(

@@ -208,7 +208,8 @@ def fit_fan(
         SonarjaxError: No sonar has such an opening or range window, the box is empty, or the apex is not below the
             box's top.
     """
-    extent = _extent(float(opening), float(range_min), float(range_max), edges)
+    opening = _checked_opening(float(opening))
+    extent = _extent(opening, float(range_min), float(range_max), edges)
     top, bottom = extent.top, extent.bottom
     if not (box.bottom > box.top and box.right > box.left):
         raise SonarjaxError(f"fan: expected a box of non-zero size, got {tuple(box)}")
@@ -220,7 +221,7 @@ def fit_fan(
         raise SonarjaxError(f"fan: apex: expected a row below the sector's top at {box.top:g}, got {apex_row:g}")
     column_m = (extent.port - extent.starboard) / (box.right - box.left)
     return FanGeometry(
-        opening=float(opening),
+        opening=opening,
         range_min=float(range_min),
         range_max=float(range_max),
         apex_row=box.top + top / row_m,
@@ -250,7 +251,8 @@ def fan_around(
         SonarjaxError: As `fit_fan`, the pixel's size is not above 0, or the picture would have more than `PIXEL_LIMIT`
             pixels.
     """
-    extent = _extent(float(opening), float(range_min), float(range_max))
+    opening = _checked_opening(float(opening))
+    extent = _extent(opening, float(range_min), float(range_max))
     if not pixel > 0:
         raise SonarjaxError(f"fan: pixel: expected a length above 0 m, got {pixel:g}")
     sides = extent.top - extent.bottom, extent.port - extent.starboard
@@ -270,10 +272,15 @@ class _Extent(NamedTuple):
     starboard: float
 
 
+def _checked_opening(opening: float) -> float:
+    """The opening [rad]. That of a full circle may be larger by rounding, because it is a sum of beams."""
+    if not 0 < opening <= 2 * math.pi * (1 + 1e-9):
+        raise SonarjaxError(f"fan: opening: expected above 0 and up to 360 deg, got {math.degrees(opening):g}")
+    return min(opening, 2 * math.pi)
+
+
 def _extent(opening: float, range_min: float, range_max: float, edges: tuple[float, float] | None = None) -> _Extent:
     """Bounding box of a sector, or of its part between two azimuths [rad]."""
-    if not 0 < opening <= 2 * math.pi:
-        raise SonarjaxError(f"fan: opening: expected above 0 and up to 360 deg, got {math.degrees(opening):g}")
     if not 0 <= range_min < range_max < math.inf:
         raise SonarjaxError(f"fan: range: expected 0 <= minimum < maximum, got {range_min:g} to {range_max:g} m")
     low, high = (-opening / 2, opening / 2) if edges is None else edges

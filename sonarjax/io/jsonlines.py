@@ -39,7 +39,7 @@ class JsonLines:
         """
         self.name = os.fspath(path)
         try:
-            self._descriptor = os.open(self.name, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o666)
+            self._descriptor = os.open(self.name, _access(self.name) | os.O_APPEND | os.O_CREAT, 0o666)
         except (OSError, ValueError) as error:
             raise SonarjaxError(f"{self.name!r}: cannot be opened for writing: {reason(error)}") from error
         self._open = True
@@ -53,7 +53,8 @@ class JsonLines:
     def write(self, record: Mapping[str, Any]) -> None:
         """Append one object as a line.
 
-        NumPy values are written as numbers and lists, non-finite floats as null.
+        NumPy values are written as numbers and lists, non-finite floats as null. Bytes of a file's name that are not
+        UTF-8 are written as escapes, from which `json.loads` and `os.fsencode` make the same bytes again.
 
         Args:
             record: The object.
@@ -62,7 +63,7 @@ class JsonLines:
             SonarjaxError: The line cannot be written.
             TypeError: JSON cannot hold a value of the object.
         """
-        line = json.dumps(plain(record), allow_nan=False, ensure_ascii=False).encode("utf-8", "replace")
+        line = json.dumps(plain(record), allow_nan=False, ensure_ascii=False).encode("utf-8", "backslashreplace")
         self._append(self._before + line + b"\n")
         self._before = b""
 
@@ -93,7 +94,7 @@ class JsonLines:
         if not stat.S_ISREG(os.fstat(self._descriptor).st_mode) or self.name.startswith("/dev/"):
             return b""  # a log to which /dev/stdout leads may hold other text
         start = os.read(self._descriptor, START).lstrip()
-        return b"" if start.startswith(b"{") else start
+        return b"" if _are_lines(start) else start
 
     def _unfinished(self) -> bool:
         with contextlib.suppress(OSError):  # a pipe cannot be searched for its end
@@ -114,6 +115,28 @@ class JsonLines:
             if isinstance(error, BrokenPipeError):  # the reader of a pipe has gone, which is no fault of ours
                 raise
             raise SonarjaxError(f"{self.name}: cannot be written: {reason(error)}") from error
+
+
+def _access(path: str) -> int:
+    """How a file is opened. A pipe is not opened for reading too: its only reader would never be seen to go away."""
+    return os.O_RDWR if os.path.isfile(path) or not os.path.exists(path) else os.O_WRONLY
+
+
+def _are_lines(start: bytes) -> bool:
+    """Whether a file that begins so may hold JSON lines: every line begins an object, and not all are cut off.
+
+    A killed run may have left its first line cut off. Of an indented JSON file the second line begins otherwise.
+    """
+    lines = [line for line in start.splitlines(keepends=True) if line.strip()]
+    ended = [line for line in lines if line.endswith(b"\n")]
+    return all(line.startswith(b"{") for line in lines) and (not ended or any(map(_is_object, ended)))
+
+
+def _is_object(line: bytes) -> bool:
+    try:
+        return isinstance(json.loads(line), dict)
+    except (ValueError, RecursionError):
+        return False
 
 
 def plain(value: Any) -> Any:

@@ -28,6 +28,8 @@ from sonarjax.io.naming import named
 from sonarjax.io.recording import Record, each_record, frames_of
 
 MAGIC, SIMPLE_PING = 0x4F53, 0x23
+MARK = struct.pack("<H", MAGIC)
+"""The id with which a message begins, as it is stored."""
 MESSAGE, FIRE, RESULT = "HHHHHIH", "BBBBBdddd", "IIddddIBdHHIII"
 FIRE_AT = struct.calcsize("<" + MESSAGE)
 RESULT_AT = FIRE_AT + struct.calcsize("<" + FIRE)
@@ -99,6 +101,8 @@ def oculus_records(data: Content, name: str, index: int | None = None, bearing_s
 def oculus_starts(data: Content, name: str) -> list[int | SonarjaxError]:
     """Positions [bytes] of the complete pings; a part of the file that is not a message is listed as its error.
 
+    So is a message that another one begins inside of, if none begins where it should end: bytes of it are missing.
+
     Raises:
         SonarjaxError: The file begins with something else, or holds no ping.
     """
@@ -125,6 +129,10 @@ def oculus_starts(data: Content, name: str) -> list[int | SonarjaxError]:
                 starts.append(error)
             elif not starts:
                 raise error
+        elif not _begins(data, end) and (following := _next_message(data, position + 1)) < end:
+            there = following - position - FIRE_AT
+            starts.append(header.error("payload", f"expected {payload} bytes to the next message, got {there}"))
+            end = following
         elif kind == SIMPLE_PING:
             starts.append(position)
         position = end
@@ -134,15 +142,24 @@ def oculus_starts(data: Content, name: str) -> list[int | SonarjaxError]:
 
 
 def _next_message(data: Content, start: int) -> int:
-    """Position [bytes] of the next complete ping at or after `start`; the end of the file if there is none."""
+    """Position [bytes] of the next complete message at or after `start`; the end of the file if there is none.
+
+    The two bytes of the id may be pixels. A message of another kind than a ping counts only if one more follows.
+    """
     position = start
-    while (position := data.find(struct.pack("<H", MAGIC), position)) >= 0:
+    while (position := data.find(MARK, position)) >= 0:
         if position + FIRE_AT <= len(data):
             kind, _, payload = struct.unpack("<HHI", data[position + 6 : position + 14])
-            if kind == SIMPLE_PING and position + FIRE_AT + payload <= len(data):
+            end = position + FIRE_AT + payload
+            if end <= len(data) and (kind == SIMPLE_PING or _begins(data, end)):
                 return position
         position += 1
     return len(data)
+
+
+def _begins(data: Content, position: int) -> bool:
+    """Whether a message may begin at byte `position`: its id is there, or too little of the file is left to tell."""
+    return MARK.startswith(data[position : position + len(MARK)])
 
 
 def read_ping(header: Header, name: str, number: int, count: int, bearing_sign: int = -1) -> Frame:

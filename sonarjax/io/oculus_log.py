@@ -21,6 +21,8 @@ from sonarjax.io.oculus import FIRE_AT, SIMPLE_PING, read_ping
 from sonarjax.io.recording import Record, each_record, frames_of
 
 FILE_MAGIC, ITEM_MAGIC = 0x11223344, 0xAABBCCDD
+ITEM_MARK = struct.pack("<I", ITEM_MAGIC)
+"""The id with which an item begins, as it is stored."""
 FILE_HEADER, ITEM_HEADER = "II16sHH4xqd", "IIHH4xdH2xII4x"
 LEAST = struct.calcsize("<" + ITEM_HEADER)
 """Smallest size that an item's header can have [bytes]."""
@@ -96,15 +98,15 @@ def _pings(data: Content, name: str) -> list[LogItem | SonarjaxError]:
         magic, size, kind, _, _, compression, original, stored = item.unpack(ITEM_HEADER, 0, "item header")
         found, end = LogItem(position + size, stored, original, compression == 1), position + size + stored
         intact = magic == ITEM_MAGIC and size >= LEAST
-        if intact and end <= len(data):
+        if intact and end <= len(data) and not _lacks_bytes(data, position, end):
             if kind == SONAR_ITEM and _is_ping(data, found):
                 pings.append(found)
         else:
             end = _next_item(data, position + 1)  # only the damaged item is lost, not what follows
             if end < len(data) or not intact:  # else it is unfinished
                 got = f"0x{magic:08x}, {size} and {stored} bytes"
-                expected = f"expected id 0x{ITEM_MAGIC:08x}, {LEAST} bytes or more and a payload in the file, got {got}"
-                pings.append(item.error("item header", expected))
+                expected = f"expected id 0x{ITEM_MAGIC:08x}, {LEAST} bytes or more and a payload up to the next item"
+                pings.append(item.error("item header", f"{expected}, got {got}"))
         position = end
     if not any(isinstance(ping, LogItem) for ping in pings):
         raise file.error("items", f"expected a complete ping (kind {SONAR_ITEM}), found none")
@@ -114,7 +116,7 @@ def _pings(data: Content, name: str) -> list[LogItem | SonarjaxError]:
 def _next_item(data: Content, start: int) -> int:
     """Position [bytes] of the next complete item at or after `start`; the end of the log if there is none."""
     position = start
-    while (position := data.find(struct.pack("<I", ITEM_MAGIC), position)) >= 0:
+    while (position := data.find(ITEM_MARK, position)) >= 0:
         head = data[position : position + LEAST]
         if len(head) == LEAST:
             _, size, *_, stored = struct.unpack("<" + ITEM_HEADER, head)
@@ -122,6 +124,12 @@ def _next_item(data: Content, start: int) -> int:
                 return position
         position += 1
     return len(data)
+
+
+def _lacks_bytes(data: Content, position: int, end: int) -> bool:
+    """Whether bytes of the item at `position` are missing: none begins at its `end`, but one begins before."""
+    follows = ITEM_MARK.startswith(data[end : end + len(ITEM_MARK)])  # nothing at all at the end of the log
+    return not follows and _next_item(data, position + 1) < end
 
 
 def _is_ping(data: Content, item: LogItem) -> bool:

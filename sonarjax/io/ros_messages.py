@@ -102,8 +102,8 @@ def frame_fields(frame: Frame, time_ns: int) -> SimpleNamespace:
     """The fields of a message for a frame (range, beam), as plain values from which any message class can be filled.
 
     Raises:
-        SonarjaxError: The frame's geometry is not known or does not fit the image, or a pixel was not measured, which a
-            message cannot express.
+        SonarjaxError: The frame's geometry is not known or does not fit the image; a pixel was not measured, which a
+            message cannot express; or the range bins are fewer than two or could not be read back otherwise.
     """
     geometry = frame.geometry or {}
     for key in ("azimuth_deg", "range_min_m", "range_max_m"):
@@ -118,12 +118,14 @@ def frame_fields(frame: Frame, time_ns: int) -> SimpleNamespace:
             f"{frame.source}: azimuth_deg: expected {n_beams} numbers to fit the image, got {azimuth.size}"
         )
     step = (geometry["range_max_m"] - geometry["range_min_m"]) / n_ranges
+    ranges = (geometry["range_min_m"] + step * (np.arange(n_ranges) + 0.5)).astype(np.float32)
+    _window(frame.source, ranges.astype(np.float64))  # what could not be read back is not written
     return SimpleNamespace(
         time_ns=time_ns,
         frequency=float(geometry.get("frequency_hz", 0.0)),
         sound_speed=float(geometry.get("sound_speed_m_s", 0.0)),
         directions=np.stack([np.zeros(n_beams), -np.sin(azimuth), np.cos(azimuth)], axis=1),
-        ranges=(geometry["range_min_m"] + step * (np.arange(n_ranges) + 0.5)).astype(np.float32),
+        ranges=ranges,
         dtype=DTYPES.index("u2"),
         beam_count=n_beams,
         data=np.frombuffer(np.rint(frame.image * WRITTEN).astype("<u2").tobytes(), np.uint8),

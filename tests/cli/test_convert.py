@@ -112,6 +112,50 @@ def test_large_picture_gets_longer_pixels(command, tmp_path, monkeypatch):
     assert sizes == pytest.approx(wanted, rel=0.02)
 
 
+def test_mask_of_a_fan_in_an_npz_counts(command, fan, tmp_path):
+    """What it leaves out neither is part of the frame nor tells where the fan is."""
+    with Image.open(fan) as picture:
+        image, out = np.asarray(picture) / 255, tmp_path / "p.npz"
+    mask = np.ones(image.shape, bool)
+    mask[100:140], mask[:5] = False, False
+    image[:5], image[100:140] = 1.0, np.nan
+    np.savez(tmp_path / "fan.npz", image=image, mask=mask)
+    size = ("--bins", 200, "--beams", 80)
+    code, said, err = command("convert", tmp_path / "fan.npz", *SECTOR, *size, "--out", out)
+    assert (code, err) == (0, "") and "the fan in rows 7 to 261 and columns 7 to 207" in said
+    frame = read_frames(out)[0]
+    ranges, azimuth = np.meshgrid(np.linspace(1.5, 4, 401)[1::2], np.radians(np.linspace(-14.5, 14.5, 161)[1::2]))
+    rows = (405.8 - 100 * ranges * np.cos(azimuth)).T
+    assert not frame.mask[(rows > 101) & (rows < 139)].any() and frame.mask[(rows < 99) | (rows > 141)].all()
+    assert np.sqrt(np.mean((frame.image - value(ranges, azimuth).T)[frame.mask] ** 2)) < 0.01
+
+
+def test_a_mask_that_a_fan_picture_cannot_hold_is_noted(command, tmp_path):
+    """As the note says, the frame comes back at its own ranges with --frame."""
+    image, mask = np.full((60, 24), 0.3, np.float32), np.ones((60, 24), bool)
+    image[30, 12], mask[54:] = 1.0, False
+    polar, seen, out = (tmp_path / name for name in ("a.npz", "a.png", "b.npz"))
+    np.savez(polar, image=image, mask=mask)
+    code, _, err = command("convert", polar, *SECTOR, "--out", seen)
+    assert code == 0 and err.count("\n") == 1
+    assert err.startswith(f"sonarjax: note: {polar}: mask: 144 of 1440 pixels were not measured: ") and "--frame" in err
+    assert command("convert", seen, *SECTOR, "--bins", 60, "--beams", 24, "--frame", "--out", out)[::2] == (0, "")
+    back = read_frames(out)[0].image
+    assert np.unravel_index(back.argmax(), back.shape) == (30, 12) and back[56:].max() < 0.02
+    np.savez(polar, image=image, mask=np.ones_like(mask))
+    assert command("convert", polar, *SECTOR, "--out", seen)[::2] == (0, "")
+
+
+@pytest.mark.parametrize("beams", [200, 400, 480, 512])
+def test_beams_all_around_become_a_picture(command, tmp_path, beams):
+    """The sum of their widths is larger than a full circle by rounding."""
+    azimuth_deg = (np.arange(beams) + 0.5 - beams / 2) * (360 / beams)
+    edges = np.linspace(0, 5, 21)
+    np.savez(tmp_path / "a.npz", image=np.full((20, beams), 0.5), azimuth_deg=azimuth_deg, range_edges_m=edges)
+    code, said, err = command("convert", tmp_path / "a.npz", "--out", tmp_path / "a.png")
+    assert (code, err) == (0, "") and "opening 360 deg" in said
+
+
 def test_black_frame_is_found_again(command, tmp_path):
     """A measured zero is not black in the picture: the box of its pixels is the sector's."""
     image = np.zeros((60, 24), np.float32)
@@ -312,6 +356,7 @@ def test_frame_of_the_right_shape_is_recognized(command, place, fan, tmp_path, s
         (("FAN", "--opening-deg", 1e-9, *SECTOR[2:], "--out", "p.npz"), 2, "fan.png: fan: opening, range and apex: ex"),
         (("FAN", *SECTOR[:2], "--range-min", 4, "--range-max", 4, "--out", "p.npz"), 2, "fan.png: fan: range: exp"),
         (("a.npy", *SECTOR[:2], "--range-min", -1, "--range-max", 4, "--out", "p.png"), 2, "a.npy: fan: range: expect"),
+        (("FAN", *SECTOR[:4], "--range-max", 1500, "--out", "p.npz"), 2, "fan.png: fan: range: expected at most 1000"),
         (("FAN", *SECTOR[:2], "--range-min", 3.999, "--range-max", 4, "--out", "p.npz"), 2, "fan.png: fan: opening, r"),
         (("FAN", "--opening-deg", "nan", *SECTOR[2:], "--out", "p.npz"), 2, "--opening-deg: expected a number"),
         (("tiny.png", *SECTOR, "--out", "p.npz"), 2, "tiny.png: fan: picture: expected a fan of at least 8 x 8 pixels"),

@@ -301,6 +301,51 @@ def test_masked_part_of_a_polar_image_does_not_bleed():
     assert not picture[~seen].any()
 
 
+@pytest.mark.parametrize("pixel", [0.005, 0.01, 0.05])
+def test_masked_beams_are_as_wide_in_the_picture_as_they_are(pixel):
+    mask = np.ones((BINS, BEAMS), bool)
+    mask[:, 40] = mask[:, 70:72] = False
+    picture, seen, geometry = fan_of(smooth(), mask=mask, pixel=pixel)
+    _, inside, _ = fan_of(smooth(), pixel=pixel)
+    _, angles = geometry.places(*np.meshgrid(*(np.arange(n) + 0.5 for n in picture.shape), indexing="ij"))
+    beams = np.clip(np.floor((angles + OPENING / 2) / OPENING * BEAMS).astype(int), 0, BEAMS - 1)
+    np.testing.assert_array_equal(seen, inside & mask[0, beams])
+
+
+def test_masked_part_of_a_picture_is_masked_in_the_polar_image():
+    """And does not bleed: there the picture may hold anything."""
+    picture, _, geometry = fan_of(np.full((BINS, BEAMS), 0.5, np.float32))
+    ranges, _ = geometry.places(*np.meshgrid(*(np.arange(n) + 0.5 for n in picture.shape), indexing="ij"))
+    hole = (ranges > 2.2) & (ranges < 2.7)
+    image, mask = fan_to_polar(np.where(hole, np.nan, picture), geometry, (BINS, BEAMS), mask=~hole)
+    middle = (geometry.range_edges(BINS)[1:] + geometry.range_edges(BINS)[:-1]) / 2
+    assert not mask[(middle > 2.21) & (middle < 2.69)].any() and mask[(middle < 2.19) | (middle > 2.71)].all()
+    np.testing.assert_allclose(image[mask], 0.5, rtol=1e-5)
+    assert not image[~mask].any()
+
+
+def test_a_mask_that_is_true_everywhere_changes_nothing(rng):
+    """Nor does the mask of a polar image itself, in the picture that it was made of."""
+    picture, _, geometry = fan_of(speckled(rng))
+    shape, axes = (BINS, BEAMS), (geometry.azimuth(BEAMS), geometry.range_edges(BINS))
+    image, mask = fan_to_polar(picture, geometry, shape)
+    for one, other in zip(
+        fan_to_polar(picture, geometry, shape, mask=np.ones(picture.shape, bool)), (image, mask), strict=True
+    ):
+        np.testing.assert_array_equal(one, other)
+    plain = polar_to_fan(image, *axes, geometry, picture.shape)
+    for held in (np.ones(shape, bool), mask):
+        for one, other in zip(polar_to_fan(image, *axes, geometry, picture.shape, held), plain, strict=True):
+            np.testing.assert_array_equal(one, other)
+
+
+def test_a_full_circle_may_be_larger_by_rounding():
+    above = np.nextafter(np.nextafter(2 * math.pi, 9), 9)
+    assert fan_around(above, NEAR, FAR, 0.1) == fan_around(2 * math.pi, NEAR, FAR, 0.1)
+    with pytest.raises(SonarjaxError, match="opening: expected above 0 and up to 360 deg"):
+        fan_around(2 * math.pi * (1 + 1e-6), NEAR, FAR, 0.1)
+
+
 @pytest.mark.parametrize("kind", [np.uint8, bool, np.int32])
 def test_labels_stay_labels(rng, kind):
     blobs = gaussian_filter(rng.standard_normal((BINS, BEAMS)), 6)

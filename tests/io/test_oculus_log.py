@@ -56,6 +56,16 @@ def test_a_damaged_item_costs_its_ping_alone(make, saved, packets, compress):
         assert "ping 1: payload: expected a zlib stream" in str(found[1])
 
 
+@pytest.mark.parametrize("compress", [False, True])
+def test_bytes_that_are_missing_from_an_item_cost_its_ping_alone(make, saved, packets, compress):
+    content = make.oculus_log(packets, compress)
+    at = len(make.oculus_log(packets[:1], compress)) + 43  # header of the second ping's item
+    path = saved("a.oculus", content[: at + 80] + content[at + 100 :])
+    first, error, last = iter_records(path)
+    assert (first.shape, last.shape) == ((12, 16), (14, 16))
+    assert f"item at byte {at}: item header: expected id 0xaabbccdd, 40 bytes or more and a payload up to" in str(error)
+
+
 def test_a_packet_larger_than_it_says_is_refused(make, packets):
     content = make.oculus_log(packets[:1], True)
     at = content.rindex(struct.pack("<I", len(packets[0])), 0, content.rindex(struct.pack(">I", len(packets[0]))))

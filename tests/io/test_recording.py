@@ -109,6 +109,28 @@ def test_a_frame_of_a_long_aris_file_is_found_without_reading_it_all(make, saved
     assert sum(sizes) < 80_000 and len(sizes) < 100
 
 
+def test_a_damaged_frame_where_aris_frames_become_smaller_costs_no_others(make, saved):
+    """All the smaller frames together are shorter than one of the larger."""
+    content = make.aris(n_frames=3, n_ranges=60) + make.aris(n_frames=3, n_ranges=5)[1024:]
+    unknown = damaged(content, 1024 + 3 * 6784 + 436, struct.pack("<I", 77))
+    wanted = [(60, 0), (60, 1), (60, 2), "frame 3: PingMode: expected 1 to 12, got 77", (5, 1), (5, 2)]
+    assert whole(saved("a.aris", unknown)) == wanted
+
+
+@pytest.mark.parametrize("cut", [1500, 3000, 4500, 6774])
+def test_an_unfinished_aris_frame_that_is_larger_than_those_before_it_is_left_out(make, saved, cut):
+    longer = make.aris(n_frames=1, n_ranges=60)[1024:]
+    assert whole(saved("a.aris", make.aris(n_frames=2, n_ranges=5) + longer[:cut])) == [(5, 0), (5, 1)]
+
+
+@pytest.mark.parametrize("n_frames", [60, 200])
+def test_an_aris_frame_of_another_shape_and_as_many_bytes_is_read(make, saved, n_frames):
+    other = make.aris(n_frames=1, n_ranges=20, ping_mode=1)[1024:]
+    content = damaged(make.aris(n_frames=n_frames), 1024 + 1984, other)
+    shapes = [record.shape for record in iter_records(saved("a.aris", content))]
+    assert shapes == [(10, 96), (20, 48), *[(10, 96)] * (n_frames - 2)]
+
+
 def test_an_aris_file_of_broken_frames_says_what_is_wrong_with_the_first(make, saved):
     content = make.aris(n_frames=2)
     for number in range(2):
@@ -154,6 +176,31 @@ def test_an_oculus_ping_that_says_it_is_larger_than_the_file(make, saved, damage
     assert kinds(path) == [number != damaged_ping for number in range(3)]
     error = list(iter_records(path))[damaged_ping]
     assert "payload: truncated: expected 500000000 bytes" in str(error)
+
+
+STATUS = struct.pack("<HHHHHIH", 0x4F53, 0, 0, 0x15, 0, 90, 0) + bytes(90)
+
+
+@pytest.mark.parametrize("after", [b"", STATUS])
+@pytest.mark.parametrize("damaged_ping", [0, 1])
+def test_bytes_that_are_missing_from_an_oculus_ping_cost_that_ping(make, saved, damaged_ping, after):
+    """Also if a message of another kind follows, which is longer than what is missing."""
+    pings = [make.oculus(n_pings=1, n_ranges=12 + k) + after for k in range(3)]
+    there = len(pings[damaged_ping]) - len(after) - 16
+    pings[damaged_ping] = pings[damaged_ping][:260] + pings[damaged_ping][300:]
+    path = saved("o.raw", b"".join(pings))
+    shapes = [record.shape if isinstance(record, Frame) else str(record) for record in iter_records(path)]
+    at = damaged_ping * len(pings[0])
+    error = f"{path}: message at byte {at}: payload: expected {there} bytes to the next message, got {there - 40}"
+    assert shapes == [error if number == damaged_ping else (12 + number, 16) for number in range(3)]
+
+
+def test_an_oculus_ping_with_the_id_of_messages_among_its_pixels_is_whole(make, saved):
+    """Even if no message begins where it ends."""
+    ping = damaged(make.oculus(n_pings=1), 300, struct.pack("<HHHHHI", 0x4F53, 0, 0, 0x15, 0, 3) * 5)
+    first, lost, last = iter_records(saved("o.raw", ping + damaged(make.oculus(n_pings=2), 0, b"xxxx")))
+    np.testing.assert_array_equal(first.image, read_frames(saved("one.raw", ping))[0].image)
+    assert "id: expected 0x4f53" in str(lost) and last.shape == (12, 16)
 
 
 @pytest.mark.parametrize(("name", "written"), [("a.aris", "aris"), ("a.raw", "oculus")])

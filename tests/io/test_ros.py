@@ -421,6 +421,7 @@ def test_times_of_a_recording_are_kept_in_a_bag(make, saved, tmp_path, ending, k
         ([flat(time_s=1e300)], "f: time_s: expected a number from 0"),
         ([flat(time_s="noon")], "f: time_s: expected a number from 0 to 2.14748e+09, got 'noon'"),
         ([Frame(np.zeros((3, 5), np.float32), None, "f", "f", GEOMETRY)], "f: azimuth_deg: expected 5 numbers"),
+        ([Frame(np.zeros((1, 2), np.float32), None, "f", "f", GEOMETRY)], "f: ranges: expected two or more ascending"),
     ],
 )
 def test_what_cannot_be_put_into_a_message(tmp_path, frames, said):

@@ -226,6 +226,54 @@ def test_json_lines_take_back_half_a_line(tmp_path, monkeypatch):
     assert [json.loads(line)["n"] for line in path.read_text().splitlines()] == [1, 3]
 
 
+def test_json_lines_notice_that_the_reader_of_a_pipe_has_gone(tmp_path):
+    path = tmp_path / "pipe"
+    os.mkfifo(path)
+    reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    with JsonLines(path) as lines:
+        lines.write({"n": 1})
+        assert os.read(reader, 100) == b'{"n": 1}\n'
+        os.close(reader)
+        with pytest.raises(BrokenPipeError):
+            lines.write({"n": 2})
+
+
+@pytest.mark.parametrize("indent", [0, 1, 4])
+def test_json_lines_leave_an_indented_json_file_alone(tmp_path, indent):
+    path = tmp_path / "dataset.json"
+    path.write_text(json.dumps({"version": 4, "frames": [{"a": 1}, {"a": 2}]}, indent=indent) + "\n")
+    before = path.read_bytes()
+    with pytest.raises(SonarjaxError, match=r"dataset.json: expected JSON lines to append to, got a file that begins"):
+        JsonLines(path)
+    assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize("held", [b"{not JSON}\n", b"{\n", b'{"a": 1}\nand so on', b"{" * 3000 + b"\n"])
+def test_json_lines_leave_a_text_alone_that_begins_with_a_brace(tmp_path, held):
+    path = tmp_path / "r.jsonl"
+    path.write_bytes(held)
+    with pytest.raises(SonarjaxError, match="expected JSON lines to append to"):
+        JsonLines(path)
+
+
+@pytest.mark.parametrize("held", [b'{"a": \n{"b": 2}\n', b'{"a": "' + b"x" * 9000 + b'"}\n{"b": 2}\n', b'{"a": 1}\r\n'])
+def test_json_lines_go_on_after_a_cut_off_or_a_long_line(tmp_path, held):
+    path = tmp_path / "r.jsonl"
+    path.write_bytes(held)
+    with JsonLines(path) as lines:
+        lines.write({"c": 3})
+    assert path.read_bytes() == held + b'{"c": 3}\n'
+
+
+def test_json_lines_tell_names_apart_that_are_not_utf8(tmp_path):
+    path, names = tmp_path / "r.jsonl", [b"w\xff.npz", b"w\xfe.npz", "ü.npz".encode()]
+    with JsonLines(path) as lines:
+        for name in names:
+            lines.write({"frame": os.fsdecode(name)})
+    held = path.read_text("utf-8").splitlines()
+    assert [os.fsencode(json.loads(line)["frame"]) for line in held] == names
+
+
 def test_json_lines_bad_targets(tmp_path):
     with pytest.raises(SonarjaxError, match="cannot be opened for writing"):
         JsonLines(tmp_path)
