@@ -22,7 +22,7 @@ from sonarjax.engine import Engine
 from sonarjax.exact import full_precision
 from sonarjax.refine.config import RefineConfig
 from sonarjax.refine.free import BOUNCES
-from sonarjax.refine.objective import ROW_STRIDE, SMALL, box_around, make_blur, normalised
+from sonarjax.refine.objective import ROW_STRIDE, SMALL, box_around, levelled, make_blur, normalised
 from sonarjax.refine.template import Drawn, Subject, draw, nominal_law
 from sonarjax.render import RenderQuality, Window, WindowSize
 from sonarjax.render.region import MARGIN_BEAMS, MARGIN_BINS
@@ -81,7 +81,8 @@ def scores_near(
     All are over the same pixels: the box of the refined template with the bank's margin.
     """
     weights = np.ones(image.shape, np.float32) if mask is None else mask.astype(np.float32)
-    seen, measured = (drawn.part(v) for v in (np.where(weights > 0, image, 0.0).astype(np.float32), weights))
+    known = image if mask is None else levelled(image, weights, np)
+    seen, measured = (drawn.part(v) for v in (np.asarray(known, np.float32), weights))
 
     def turned(turn: Any) -> np.ndarray:
         numbers, static = _how(config, size)

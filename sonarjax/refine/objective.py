@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from sonarjax.exact import full_precision
@@ -69,6 +70,18 @@ def normalised(image: Float[Array, "range beam"], weight: Float[Array, "range be
     total = jnp.maximum(weight.sum(), SMALL)
     centred = (image - (image * weight).sum() / total) * weight
     return centred / jnp.sqrt((centred**2).sum() + SMALL)
+
+
+def levelled(image: Any, weight: Any, array: Any) -> Any:
+    """`image` (..., range, beam) less its mean where `weight` is above 0, and 0 elsewhere, by NumPy or jax.numpy.
+
+    A template is 0 on bare floor. Where the image is far from 0, the edge of a mask would be a step that no template
+    has. What was not measured may be NaN.
+    """
+    measured = weight > 0
+    known = array.where(measured, image, np.float32(0))
+    count = array.maximum(measured.sum((-2, -1), keepdims=True), 1).astype(np.float32)
+    return array.where(measured, known - known.sum((-2, -1), keepdims=True) / count, np.float32(0))
 
 
 def compare(

@@ -21,7 +21,7 @@ from sonarjax.records import record, static
 from sonarjax.refine.config import SLACK_M, RefineConfig
 from sonarjax.refine.free import BOUNCES, ON_FLOOR, check_free, displacements, pose_at, trusts, wrapped
 from sonarjax.refine.implicit import attach, hessian, is_minimum, without_gradient
-from sonarjax.refine.objective import Problem, crop_score, make_blur
+from sonarjax.refine.objective import Problem, crop_score, levelled, make_blur
 from sonarjax.refine.solver import INSIDE, SETTLED_SHARE, STATIONARY_SHARE, Search, Solution, begun, coarse_to_fine
 from sonarjax.refine.template import BOUNCE_BOUNDS, VIEWS, Drawn, Subject, nominal_law
 from sonarjax.refine.uncertainty import Observability, error_covariance, normal_equations, observability, prior_std
@@ -144,7 +144,7 @@ def _refine_views(
     if weights.shape != images.shape:
         raise SonarjaxError(f"mask: expected the images' shape {images.shape}, got {weights.shape}")
     check_finite(images, weights, "image")
-    images = np.where(weights > 0, images, np.float32(0))  # what was not measured may be NaN
+    images = images if mask is None else levelled(images, weights, np)
     starts = jax.tree.map(lambda v: np.atleast_1d(np.asarray(v)), start)
     places = [in_view(starts, one) for one in sonars]
     around = jax.tree.map(lambda *v: np.concatenate(v), *places)
@@ -181,12 +181,12 @@ def search_pose(
     image = array.asarray(image if traced else image_array(image, "image"), np.float32)
     if image.ndim not in (2, 3) or image.shape[-2:] != sonar.shape:
         raise SonarjaxError(f"image: expected shape {sonar.shape} (range, beam) of the sonar, got {image.shape}")
-    mask = array.ones(image.shape, np.float32) if mask is None else mask
-    weight = array.asarray(mask if traced else number_array(mask, "mask"), np.float32)
+    given = array.ones(image.shape, np.float32) if mask is None else mask
+    weight = array.asarray(given if traced else number_array(given, "mask"), np.float32)
     if weight.shape != image.shape:
         raise SonarjaxError(f"mask: expected the image's shape {image.shape}, got {weight.shape}")
     check_finite(image, weight, "image")
-    image = array.where(weight > 0, image, np.float32(0))  # what was not measured may be NaN
+    image = image if mask is None else levelled(image, weight, array)
     frames, axes = image.ndim - 2, start.shape
     if len(axes) not in (frames, frames + 1) or axes[:frames] != image.shape[:frames]:
         raise SonarjaxError(f"start: expected one pose (or one axis of poses) for each image, got shape {axes}")

@@ -120,6 +120,17 @@ def test_what_is_masked_does_not_count(scene):
         np.testing.assert_allclose(found.score, clean.score, atol=1e-6)
 
 
+def test_with_a_mask_the_images_offset_does_not_count_either(scene):
+    mesh, images, poses = scene
+    image, start = images[3], pick(near(poses, 2), 3)
+    mask = np.ones(image.shape, bool)
+    mask[:, int(np.median(np.nonzero(image == 0)[1])) :] = False  # from the middle of the shadow on
+    plain, bright = (refine(image + np.float32(offset), mesh, start, mask) for offset in (0.0, 5.0))
+    assert yaw_error_deg(plain.yaw, poses[3, 0]) < 0.5
+    np.testing.assert_allclose(bright.yaw, plain.yaw, atol=2e-4)
+    np.testing.assert_allclose(bright.score, plain.score, atol=1e-4)
+
+
 def test_bounds_hold_and_are_reported(scene):
     mesh, images, poses = scene
     start = sj.Pose(float(poses[0, 1]), float(poses[0, 2]), float(poses[0, 0]) + 0.2)
