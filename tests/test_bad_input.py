@@ -12,7 +12,7 @@ import sys
 import pytest
 
 PREPARED = """
-import json, math, os, sys
+import json, math, os, pathlib, sys
 from dataclasses import replace
 import jax, numpy as np, trimesh
 import sonarjax as sj
@@ -38,8 +38,9 @@ tilted, model, smoke = s.replace(tilt=np.array([0.3, 0.4])), sj.SensorModel(), P
 frames = sj.SonarFrame(*[np.stack([v, v]) for v in (im, im, im, im > 0)], np.zeros(2, int), s)
 bank = lambda **given: sj.template_bank(**{"mesh": m, "sonar": s, "yaws": [0.3], "x": 2.3} | given)
 networks = lambda **given: find_recipe(replace(smoke, networks=GanConfig(**given)))
+kept = lambda **given: find_recipe(replace(smoke, **given)).as_json()
 recognizer = sj.Recognizer(m, s, segmenter="none", refine=None)
-network = sj.load_segmenter()
+network, otsu, none = sj.load_segmenter(), sj.load_segmenter("otsu"), sj.load_segmenter("none")
 to_polar, to_fan, fan = sj.io.fan_to_polar, sj.io.polar_to_fan, sj.io.fan_around(0.4, 2.0, 3.0, 0.02)[0]
 edges, out, key = np.linspace(2, 3, 65), path + ".set", jax.random.key(0)
 make = lambda meshes={"a": m}, sonar=s, count=4, key=key, **o: make_dataset(meshes, sonar, out, count, key=key, **o)
@@ -182,7 +183,22 @@ CASES = {
     "networks(learning_rate='1')": "recipe: networks.learning_rate: expected a finite number above 0, got '1'",
     "find_recipe(replace(smoke, batch=2.5))": "recipe: batch: expected a whole number of 1 or more, got 2.5",
     "find_recipe(['smoke'])": "preset: expected a str, got a list",
-    "train('smoke', None)": "run_dir: expected a folder, got None",
+    "find_recipe(replace(smoke, source=3))": "recipe: source: expected a folder or None, got 3",
+    "find_recipe(replace(smoke, source=''))": "recipe: source: expected a folder or None, got ''",
+    "find_recipe(replace(smoke, name=None))": "recipe: name: expected a text, got None",
+    "find_recipe(replace(smoke, discriminative='no'))": "recipe: discriminative: expected True or False, got 'no'",
+    "find_recipe(replace(smoke, mirrored=np.array(0.5)))": "recipe: mirrored: expected a share from 0 to 1, got a",
+    "find_recipe(replace(smoke, networks={}))": "recipe: networks: expected a GanConfig, got a dict",
+    "find_recipe(replace(smoke, pair_settings=None))": "recipe: pair_settings: expected a PairSettings, got None",
+    "find_recipe(replace(smoke, pair_settings=PairSettings(tank=0)))": "recipe: pair_settings.tank: expected True or ",
+    "networks(skips=1)": "recipe: networks.skips: expected True or False, got 1",
+    "networks(beta1=jax.numpy.float32(0.5))": "recipe: networks.beta1: expected a number from 0 to below 1, got a",
+    "kept(source=pathlib.Path('pairs')) == kept(source='pairs')": "no error: True",
+    "kept(batch=np.int64(2), plain=np.float32(0.5)) == kept(batch=2, plain=0.5)": "no error: True",
+    "kept(pair_settings=PairSettings(np.int64(64), odd=np.float32(1)))['pair_settings']['n_ranges']": "no error: 64",
+    "networks(learning_rate=np.float32(0.5)).as_json()['networks']['learning_rate']": "no error: 0.5",
+    "train('smoke', None)": "run_dir: expected a path, got None",
+    "train('smoke', '')": "run_dir: expected a path, got ''",
     # Something else in place of an image
     "sj.calibrate(['a.npy'], m, s)": f"frames[0]: expected numbers, got 'a.npy'{READ}",
     "sj.calibrate('folder', m, s)": "frames: expected a sequence of images (range, beam), got 'folder'",
@@ -243,6 +259,7 @@ CASES = {
     "export_pairs(Pairs('a.png', labels), out)": "pairs: image: expected numbers, got 'a.png'",
     "export_pairs(Pairs(crops, labels), out, key=3)": f"{KEY}3",
     "export_pairs(Pairs(crops, labels), out, settings={})": "settings: expected a PairSettings, got a dict",
+    "export_pairs(Pairs(crops, labels), '')": "folder: expected a path, got ''",
     "export_pairs(Pairs(crops, labels), out, first='4')": "first: expected a whole number of 0 or more, got '4'",
     "os.path.exists(out)": "no error: False",
     # Numbers
@@ -300,6 +317,18 @@ CASES = {
     "sj.match_bank(holed, np.eye(8)[None], mask=np.isfinite(holed)).shape": "no error: (1,)",
     "sj.segment(holed, network.weights)": "image: holds NaN or infinite values",
     "sj.load_segmenter('otsu').labels(holed)": "image: holds NaN or infinite values",
+    "sj.segment(255 * im, network.weights)": "image: expected values in [0, 1], got 127.5 to 127.5; divide 8-bit",
+    "network.labels((255 * im).astype(np.uint8))": "image: expected values in [0, 1], got 127 to 127; divide 8-bit",
+    "otsu.labels((255 * im).astype(np.uint8))": "image: expected values in [0, 1], got 127 to 127; divide 8-bit",
+    "none.semantic(255 * im, im > 0)": "image: expected values in [0, 1], got 127.5 to 127.5; divide 8-bit",
+    "otsu.labels(frame.labels() + 1)": "image: expected values in [0, 1], got whole numbers from ",
+    "none.labels(im + 0.6).max()": "no error: 1",
+    "none.labels(np.where(holed > 0, holed, 300), np.isfinite(holed)).max()": "no error: 0",
+    "none.labels(255 * im, im > 1).max()": "no error: 0",
+    "network.labels(im[:0])": "image: expected one frame (range, beam), got shape (0, 16)",
+    # The map of `none` is an array of its own, whatever was given
+    "{type(none.semantic(v)) for v in (im, im.tolist(), jax.numpy.asarray(im))} == {np.ndarray}": "no error: True",
+    "jax.jit(none.semantic)(im.astype(np.float16)).dtype": "no error: float32",
     "sj.calibrate([im], m.standing(), s)": "frames: expected at least one that shows something, but each is",
     # Something else in place of an engine
     "sj.Recognizer(m, s, segmenter='none', engine='cpu')": "engine: expected an Engine, got 'cpu'",

@@ -37,12 +37,14 @@ from sonarjax.data.formats import (
     describe_objects,
     paths_of,
     short,
+    yaml_text,
 )
 from sonarjax.data.frames import CHUNK, Drawn, FrameSettings, draw_chunk
 from sonarjax.data.layout import Limits, placement_limits
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.io import SonarjaxError, make_folder, write_atomic, write_text
 from sonarjax.io.given import check_kind, is_text, is_whole, shown
+from sonarjax.io.outputs import check_folder
 from sonarjax.render import check_fits
 from sonarjax.render.simulate import check_sonar_alone
 from sonarjax.scene import Mesh, stack_meshes
@@ -140,8 +142,7 @@ def make_dataset(
     """
     _check(meshes, sonar, count, format, settings, shard, license)
     check_kind(engine, Engine, "engine")
-    if not isinstance(folder, str | os.PathLike) or not os.fspath(folder):
-        raise SonarjaxError(f"folder: expected a path, got {shown(folder)}")
+    check_folder(folder, "folder")
     plan = _plan(meshes, sonar, int(count), key, format, settings)
     target = Path(folder)
     facts = _facts(plan, meshes, license)
@@ -376,7 +377,7 @@ def _finish(target: Path, plan: Plan, facts: dict[str, Any]) -> None:
     if plan.format == "coco":
         _write_lines(target / "annotations.json", lambda: _coco(target, plan))
     if plan.format == "yolo":
-        names = "".join(f"  {k}: {json.dumps(name)}\n" for k, name in enumerate(category_names(plan.axes.names)))
+        names = "".join(f"  {k}: {yaml_text(name)}\n" for k, name in enumerate(category_names(plan.axes.names)))
         # `path` is left out: readers resolve it from their working directory, and without it use this file's folder.
         _write_if_missing(target / "data.yaml", lambda: f"train: images\nval: images\nnames:\n{names}")
     _write_if_missing(target / CARD, lambda: card_text(facts, summarised(_lines(target, plan.frames)), plan.axes))

@@ -25,6 +25,7 @@ from sonarjax.data.pairs import Pairs, PairSettings
 from sonarjax.io import SonarjaxError, read_bytes, write_png, write_text
 from sonarjax.io.files import reason
 from sonarjax.io.given import check_kind, image_array, is_whole, number_array, shown
+from sonarjax.io.outputs import check_folder
 from sonarjax.io.png import parse_png
 
 MANIFEST = "manifest.jsonl"
@@ -54,9 +55,10 @@ def export_pairs(
 
     Raises:
         SonarjaxError: The pairs are no pairs: images are not in [0, 1], labels are not 0, 1 and 2, or their shapes
-            differ; another argument is of another kind; or something cannot be written.
+            differ; another argument is of another kind; `folder` is empty; or something cannot be written.
     """
     images, labels = _arrays(pairs)
+    check_folder(folder, "folder")
     origin = _origin(key, settings)
     if not (is_whole(first) and first >= 0):
         raise SonarjaxError(f"first: expected a whole number of 0 or more, got {shown(first)}")

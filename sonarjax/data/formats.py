@@ -8,6 +8,7 @@ highlight and its shadow.
 from __future__ import annotations
 
 import io
+import json
 import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
@@ -116,6 +117,15 @@ def category_names(names: Sequence[str]) -> list[str]:
     return [f"{name} {kind}" for name in names for kind in CLASSES]
 
 
+def yaml_text(text: str) -> str:
+    """A text as YAML, in quotes.
+
+    JSON's escapes are YAML's too, but for characters beyond 16 bits: JSON makes two of each, and YAML reads these as
+    two. So they stand as they are, in UTF-8.
+    """
+    return '"' + "".join(one if ord(one) > 0xFFFF else json.dumps(one)[1:-1] for one in text) + '"'
+
+
 def _seen(item: Item) -> Iterator[tuple[int, int, np.ndarray, list[int]]]:
     """Yield instance, category, mask (range, beam) and box of each object's highlight and shadow, where visible."""
     for instance, mesh in enumerate(item.meshes, 1):
@@ -143,21 +153,22 @@ def _png(item: Item, axes: Axes) -> tuple[Files, dict[str, Any]]:
 
 
 def _npz(item: Item, axes: Axes) -> tuple[Files, dict[str, Any]]:
-    """One NPZ file with all arrays; `boxes` is -1 where nothing is seen.
+    """One NPZ file with all arrays, also those of no object; `boxes` is -1 where nothing is seen.
 
     The file can be given to recognition as a frame, because it has an `image`.
     """
     count = len(item.meshes)
     masks = {
-        name: np.array([mask_of(item, k, label) for k in range(1, count + 1)])
+        name: np.array([mask_of(item, k, label) for k in range(1, count + 1)], bool).reshape(count, *item.labels.shape)
         for label, name in enumerate(CLASSES, 1)
     }  # fmt: skip
     boxes = [[box_of(masks[name][k]) or [-1] * 4 for name in CLASSES] for k in range(count)]
     buffer = io.BytesIO()
     arrays = {
         "image": item.image, "labels": item.labels, "instances": item.instances,
-        "highlight_masks": masks["highlight"], "shadow_masks": masks["shadow"], "boxes": np.array(boxes, np.int32),
-        "mesh": np.array(item.meshes, np.int32), "pose": np.array(item.poses, np.float32),
+        "highlight_masks": masks["highlight"], "shadow_masks": masks["shadow"],
+        "boxes": np.array(boxes, np.int32).reshape(count, len(CLASSES), 4),
+        "mesh": np.array(item.meshes, np.int32), "pose": np.array(item.poses, np.float32).reshape(count, 3),
         "azimuth_deg": axes.azimuth_deg, "range_edges_m": axes.range_edges_m,
     }  # fmt: skip
     zip_arrays(buffer, arrays)

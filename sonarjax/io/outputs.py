@@ -6,10 +6,12 @@ import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.files import reason
-from sonarjax.io.load import RECORDINGS, split_spec
+from sonarjax.io.given import shown
+from sonarjax.io.load import RECORDINGS, Spec, split_spec
 from sonarjax.io.ros import is_bag
 
 
@@ -74,6 +76,20 @@ def check_ending(option: str, path: str | None, endings: Sequence[str]) -> None:
     raise SonarjaxError(f"{option}: {path!r}: expected a name that ends in {' or '.join(endings)}")
 
 
+def check_folder(folder: Any, name: str) -> None:
+    """Check that a folder for output was named: an empty path would mean the current folder, whose files are others'.
+
+    Args:
+        folder: What was given for it.
+        name: What the message calls it.
+
+    Raises:
+        SonarjaxError: It is empty, or no path.
+    """
+    if not isinstance(folder, str | os.PathLike) or not os.fspath(folder):
+        raise SonarjaxError(f"{name}: expected a path, got {shown(folder)}")
+
+
 def make_folder(path: str) -> None:
     """Make a folder for output, with its parents, unless it is there.
 
@@ -92,7 +108,8 @@ def make_folder(path: str) -> None:
 def check_label_files(folder: str, specs: Sequence[str]) -> None:
     """Check that no `labels_<stem>.npz` in a folder would replace an input or belong to two inputs.
 
-    It is not known yet how many frames a recording holds, so any number is assumed.
+    It is not known yet how many frames a recording holds, so any number is assumed; nor what the only topic of a bag
+    is, so bags of which no topic is named are taken to have the same.
 
     Args:
         folder: Folder to which the label files will be written; it may be missing.
@@ -101,7 +118,8 @@ def check_label_files(folder: str, specs: Sequence[str]) -> None:
     Raises:
         SonarjaxError: A label file would replace an input, or those of two inputs would have the same name.
     """
-    paths = list(dict.fromkeys(split_spec(spec).path for spec in specs))
+    given = [split_spec(spec) for spec in specs]
+    paths = list(dict.fromkeys(spec.path for spec in given))
     stems = {_stem(path): path for path in paths}
     recordings = {_stem(path) for path in paths if _is_recording(path)}
     inputs = {identity: path for path in paths if (identity := _identity(path)) is not None}
@@ -113,20 +131,27 @@ def check_label_files(folder: str, specs: Sequence[str]) -> None:
         if source is not None and (stem in stems or numbered in recordings):
             frame = stems.get(stem) or stems[numbered]
             raise SonarjaxError(f"{frame}: its labels would overwrite the input {source!r}: expected another folder")
-    _check_stems([path for path in paths if not _is_recording(path)])
+    _check_stems(given)
 
 
-def _check_stems(paths: Sequence[str]) -> None:
-    """Raise a SonarjaxError if two files of one frame each have the same stem."""
-    taken: dict[str, str] = {}
-    for path in paths:
-        other = taken.setdefault(_stem(path), path)
-        if other != path and not same_file(other, path):
+def _check_stems(specs: Sequence[Spec]) -> None:
+    """Raise a SonarjaxError if two files of one stem give one frame each, or two recordings the same frames."""
+    taken: dict[tuple[str | int | None, ...], str] = {}
+    for path, number, topic in specs:
+        frames = (number, topic) if _is_recording(path) else ()
+        other = taken.setdefault((_stem(path), *frames), path)
+        if not _same_input(other, path):
             raise SonarjaxError(f"{path}: its labels would overwrite those of {other} (same stem)")
 
 
+def _same_input(one: str, other: str) -> bool:
+    """As `same_file`, also for the folders of bags."""
+    identity = _identity(one)
+    return one == other or same_file(one, other) or (identity is not None and identity == _identity(other))
+
+
 def _stem(path: str) -> str:
-    return os.path.splitext(os.path.basename(path))[0]
+    return os.path.splitext(os.path.basename(path.rstrip(os.sep)))[0]
 
 
 def _is_recording(path: str) -> bool:

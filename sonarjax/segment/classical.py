@@ -29,7 +29,8 @@ def threshold_labels(
     `otsu1` uses Otsu's single threshold: highlight above it, no shadow. `otsu3` uses his two thresholds on the frame,
     `otsu` on its 3 × 3 median and `median-otsu` on its 5 × 5 median: highlight above the upper one, shadow at or below
     the lower one. `none` cuts the frame at 1/4 and 3/4. Otsu's thresholds are those of the pixels inside `mask`. If
-    these have a single grey value (for two thresholds: one or two), everything is background. Pixels outside `mask` are
+    these have a single grey value (for two thresholds: one or two), everything is background. Pixels outside `mask` may
+    hold anything: median filters see them as the median of the measured pixels, which is mostly floor. They are
     background, so without a measured pixel everything is.
     """
     image = np.asarray(image, np.float32)
@@ -37,6 +38,7 @@ def threshold_labels(
     if not measured.any():
         return np.zeros(image.shape, np.uint8)
     if name in MEDIANS:
+        image = np.where(measured, image, np.median(image[measured]))
         image = median_filter(image, np.ones((MEDIANS[name], MEDIANS[name])))
     image = image.astype(
         np.float64

@@ -38,7 +38,7 @@ def find_objects(grey: Float[Array, "range beam"], most: int) -> Objects:
     """
     evidence = jnp.abs(jax.lax.stop_gradient(grey) - 0.5)
     labels = connected_parts(_closed(evidence > LEAST_EVIDENCE))
-    count = labels.size + 1
+    count = max(labels.size + 1, most)  # a frame of very few pixels has fewer labels than places
     sums = jax.ops.segment_sum(evidence.ravel(), labels.ravel(), count).at[0].set(0.0)
     largest, chosen = jax.lax.top_k(sums, most)
     found = (largest > 0) & (largest >= LEAST_SHARE * largest[0])

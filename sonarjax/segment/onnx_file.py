@@ -94,8 +94,9 @@ def _add_grey(graph: Graph, output: str) -> None:
 def _about(segmenter: Segmenter, outputs: list[str]) -> dict[str, str]:
     """The file's metadata: plain text, and JSON where a program will read it."""
     said = [SEMANTIC_OUT, *([CLASSES_OUT] if "probabilities" in outputs else [])]
+    name = os.path.basename(segmenter.name).encode("utf-8", "replace").decode()  # a file's name may be no UTF-8
     return {
-        "segmenter": os.path.basename(segmenter.name),
+        "segmenter": name,
         "input": CROP_IN,
         "output": "; ".join(said),
         "crop": json.dumps(PATCH),

@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 import os
 from dataclasses import dataclass
+from typing import Any
 
+import jax
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
@@ -58,12 +60,13 @@ class Segmenter:
             Map (range, beam): shadow 0, background 0.5, highlight 1. Where a network is unsure, values lie between.
 
         Raises:
-            SonarjaxError: The image is not one frame, a measured pixel is not finite, or the mask has another shape.
+            SonarjaxError: The image is not one frame, a measured pixel is not finite or lies far outside [0, 1], or the
+                mask has another shape.
         """
         check_frame(image, mask)
         if self.weights is not None:
             return np.array(engine.run(segment, image, self.weights, mask, tile=self.tile))
-        return image if self.name == "none" else to_grey(threshold_labels(image, self.name, mask))
+        return _copied(image) if self.name == "none" else to_grey(threshold_labels(image, self.name, mask))
 
     def labels(
         self, image: Float[np.ndarray, "range beam"], mask: Bool[np.ndarray, "range beam"] | None = None,
@@ -81,12 +84,18 @@ class Segmenter:
             Labels (range, beam): 0 background, 1 highlight, 2 shadow.
 
         Raises:
-            SonarjaxError: The image is not one frame, a measured pixel is not finite, or the mask has another shape.
+            SonarjaxError: The image is not one frame, a measured pixel is not finite or lies far outside [0, 1], or the
+                mask has another shape.
         """
         check_frame(image, mask)
         if self.weights is None:
             return threshold_labels(image, self.name, mask)
         return from_grey(self.semantic(image, mask, engine))
+
+
+def _copied(image: Any) -> Any:
+    """The frame (range, beam) as a new float32 array: whoever changes the map must not change the frame."""
+    return image.astype(np.float32) if isinstance(image, jax.core.Tracer) else np.array(image, np.float32)
 
 
 def load_segmenter(name: str | os.PathLike[str] = DEFAULT_SEGMENTER) -> Segmenter:

@@ -22,7 +22,7 @@ from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.given import check_kind, image_array, number_array
 from sonarjax.segment.objects import find_objects
 from sonarjax.segment.weights import GeneratorWeights, segment_patch
-from sonarjax.sonar.image import check_finite
+from sonarjax.sonar.image import check_values
 
 TILE = TRAINING_FRAME
 """Largest size of a tile (range, beam) [pixels]."""
@@ -72,8 +72,8 @@ def segment(
         Map (range, beam): shadow 0, background 0.5, highlight 1.
 
     Raises:
-        SonarjaxError: The image is not one frame, a measured pixel is not finite, the mask has another shape, `weights`
-            is something else, or JAX is in its 64-bit mode.
+        SonarjaxError: The image is not one frame, a measured pixel is not finite or lies far outside [0, 1], the mask
+            has another shape, `weights` is something else, or JAX is in its 64-bit mode.
     """
     check_single_precision()
     check_kind(weights, GeneratorWeights, "weights")
@@ -84,17 +84,26 @@ def segment(
 def check_frame(image: Any, mask: Any = None) -> None:
     """Raise a SonarjaxError unless an image is one frame of numbers (range, beam), and a mask has its shape.
 
-    Measured pixels must be finite. Of traced values only types and shapes are looked at.
+    Measured pixels must be finite and not far outside [0, 1], as `check_values` has it for all that takes frames. Of
+    traced values only types and shapes are looked at.
     """
     if not isinstance(image, jax.Array):
         image_array(image, "image")
     if mask is not None and not isinstance(mask, jax.Array):
         number_array(mask, "mask")
-    if np.ndim(image) != 2:
+    if np.ndim(image) != 2 or 0 in np.shape(image):
         raise SonarjaxError(f"image: expected one frame (range, beam), got shape {np.shape(image)}")
     if mask is not None and np.shape(mask) != np.shape(image):
         raise SonarjaxError(f"mask: expected the image's shape {np.shape(image)}, got {np.shape(mask)}")
-    check_finite(image, mask, "image")
+    if not (isinstance(image, jax.core.Tracer) or isinstance(mask, jax.core.Tracer)):
+        _check_measured(np.asarray(image), mask)
+
+
+def _check_measured(image: np.ndarray, mask: Any) -> None:
+    """Raise a SonarjaxError if the measured pixels are no grey values. There may be none: then all is background."""
+    values = image.ravel() if mask is None else image[np.asarray(mask, bool)]
+    if values.size:
+        check_values(values.astype(np.float32, copy=False), "image")
 
 
 @partial(jax.jit, static_argnames=("closer", "tile"))

@@ -352,6 +352,16 @@ def test_segment_never_overwrites_one_frame_by_another(complaint, stand_in, plac
     assert "same stem" in complaint(2, "segment", place / "a.npz", tmp_path / "a.npy", "--out-dir", tmp_path / "labels")
 
 
+def test_two_recordings_of_one_stem_stop_a_batch_before_any_frame(complaint, stand_in, tmp_path):
+    paths = [tmp_path / name / "log.aris" for name in ("one", "two")]
+    for path in paths:
+        path.parent.mkdir()
+        path.write_bytes(recording(2))
+    said = complaint(2, "segment", *paths, "--out-dir", tmp_path / "labels")
+    assert f"{paths[1]}: its labels would overwrite those of {paths[0]} (same stem)" in said
+    assert not (tmp_path / "labels").exists() and stand_in.calls == []
+
+
 def test_one_frame_by_two_names_is_segmented_twice(command, stand_in, place, tmp_path):
     same = place / ".." / place.name / "a.npz"
     assert command("segment", place / "a.npz", same, "--out-dir", tmp_path / "labels") == (0, "", "")

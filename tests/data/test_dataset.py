@@ -186,11 +186,10 @@ def test_yolo_boxes_hold_exactly_their_masks(make):
 
 def test_yolo_file_names_its_categories_and_no_folder_but_its_own(make):
     yaml = pytest.importorskip("yaml")
-    said = yaml.safe_load((make("a", 2, format="yolo") / "data.yaml").read_text())
-    assert said == {
-        "train": "images", "val": "images",
-        "names": dict(enumerate(["pile highlight", "pile shadow", "other pile highlight", "other pile shadow"])),
-    }  # fmt: skip
+    meshes = dict(zip(("pile \U0001f6a2", "other pile"), MESHES.values(), strict=True))
+    said = yaml.safe_load((make("a", 2, format="yolo", meshes=meshes) / "data.yaml").read_bytes())
+    names = [f"{mesh} {kind}" for mesh in meshes for kind in ("highlight", "shadow")]
+    assert said == {"train": "images", "val": "images", "names": dict(enumerate(names))}
 
 
 # ---------------------------------------------------------------- the folder

@@ -101,6 +101,33 @@ def test_two_inputs_of_one_stem():
     check_label_files("sub", ["f.npz", "./f.npz", "r.aris", "r.aris:3"])
 
 
+@pytest.mark.parametrize(
+    "specs",
+    [
+        ["r.aris", "sub/r.aris"], ["r.aris:3", "sub/r.aris:3"], ["r.aris", "r.aris:3", "sub/r.aris:3"],
+        ["r.raw", "sub/r.aris"], ["r.mcap", "sub/r.mcap"], ["bag:/a", "sub/bag/:/a"],
+    ],
+)  # fmt: skip
+def test_two_recordings_of_one_stem(folder, specs):
+    for bag in ("bag", "sub/bag"):
+        (folder / bag).mkdir()
+        (folder / bag / "metadata.yaml").write_bytes(b"kept")
+    (folder / "sub" / "r.aris").write_bytes(b"kept")
+    with pytest.raises(SonarjaxError, match=r"sub/.*: its labels would overwrite those of .* .same stem"):
+        check_label_files("out", specs)
+
+
+def test_recordings_whose_labels_have_names_of_their_own(folder):
+    (folder / "sub" / "r.aris").write_bytes(b"kept")
+    (folder / "bag").mkdir()
+    (folder / "bag" / "metadata.yaml").write_bytes(b"kept")
+    for specs in (
+        ["r.aris:2", "sub/r.aris:3"], ["r.aris", "sub/../r.aris"], ["r.aris", "sub/q.aris"],
+        ["r.mcap:/a", "sub/r.mcap:/b"], ["bag:/a", "./bag/:/a"], ["r.aris", "r.png"],
+    ):  # fmt: skip
+        check_label_files("out", specs)
+
+
 def test_a_folder_that_may_not_be_written_in_is_refused_before_anything_runs(tmp_path, monkeypatch):
     locked = tmp_path / "locked"
     locked.mkdir()

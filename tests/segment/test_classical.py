@@ -52,6 +52,31 @@ def test_a_constant_frame_and_what_was_not_measured(name: str, rng: np.random.Ge
     assert not segment(image, name, mask)[:30].any()
 
 
+@pytest.mark.parametrize("name", CLASSICAL)
+def test_what_was_not_measured_may_hold_anything(name: str, rng: np.random.Generator) -> None:
+    image, _ = scene(rng, 0.1)
+    mask = np.ones(image.shape, bool)
+    assert (segment(image, name, mask) == segment(image, name)).all()
+    mask[:12], mask[:, 25:27] = False, False
+    first, *others = (segment(np.where(mask, image, np.float32(v)), name, mask) for v in (0, 1, 255, np.nan, np.inf))
+    assert (first == 1).any() and all((labels == first).all() for labels in others)
+
+
+def test_a_dark_floor_stays_background_beside_what_was_not_measured(rng: np.random.Generator) -> None:
+    """At a corner most of what the median filter sees was not measured."""
+    image, mask = scene(rng, 0.02)[0] * np.float32(0.5), np.zeros((60, 40), bool)
+    mask[4:, 4:] = True
+    for name in MEDIANS:
+        assert not segment(np.where(mask, image, np.nan), name, mask)[4:8, 4:8].any()
+
+
+def test_the_map_of_none_is_a_new_array(rng: np.random.Generator) -> None:
+    for image in (rng.random((6, 5), np.float32), rng.random((6, 5))):
+        found = load_segmenter("none").semantic(image)
+        assert found.dtype == np.float32 and not np.shares_memory(found, image)
+        np.testing.assert_array_equal(found, image.astype(np.float32))
+
+
 @pytest.mark.parametrize(
     "levels", [(0, 30000, 65535), (10, 11, 40000), (10, 39999, 40000), (0, 1, 65535), (65533, 65534, 65535)]
 )

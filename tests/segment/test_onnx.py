@@ -172,6 +172,11 @@ def test_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
         onnx_model(load_segmenter())
 
 
+def test_a_file_whose_name_is_no_utf8_is_exported(tmp_path: Path) -> None:
+    export_onnx(tmp_path / "g.onnx", Segmenter("runs/w\udcff.safetensors", 0.5, drawn()))
+    assert session_of(tmp_path / "g.onnx").get_modelmeta().custom_metadata_map["segmenter"] == "w?.safetensors"
+
+
 def test_network_from_a_file_keeps_its_name_and_threshold(tmp_path: Path) -> None:
     path = tmp_path / "own.safetensors"
     save_generator(path, drawn().variables, {"threshold": 0.25, "tile": [100, 50]})

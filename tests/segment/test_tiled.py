@@ -121,6 +121,14 @@ def test_objects_are_those_of_scikit_image():
                 assert tuple(found.bounds[k].tolist()) == part.bbox
 
 
+@pytest.mark.parametrize("shape", [(1, 1), (1, 4), (2, 2), (5, 1)])
+def test_a_frame_of_fewer_pixels_than_closer_looks(shape):
+    np.testing.assert_allclose(through(np.full(shape, 0.5, np.float32))[0], 0.5, atol=1e-6)
+    found = find_objects(jnp.ones(shape), tiled.CLOSER)
+    assert found.found.tolist() == [True] + (tiled.CLOSER - 1) * [False]
+    assert found.bounds[0].tolist() == [0, 0, *shape]
+
+
 def test_a_long_winding_part_is_one():
     mask = np.zeros((65, 64), bool)
     mask[::2] = True

@@ -61,6 +61,17 @@ def test_a_run_is_not_overwritten(done, folder):
         train(replace(recipe, networks=replace(recipe.networks, width=3)), done[0], resume=True)
 
 
+@pytest.mark.parametrize("resume", [False, True])
+@pytest.mark.parametrize("name", ["metrics.jsonl", "weights.safetensors", "checkpoints"])
+def test_what_another_program_left_is_kept(folder, tmp_path, name, resume):
+    left = tmp_path / name / "5" if name == "checkpoints" else tmp_path / name
+    left.parent.mkdir(exist_ok=True)
+    left.write_text('{"epoch": 3}\nfree text\n')
+    with pytest.raises(SonarjaxError, match=f"holds {name} of something else .no config.json.: expected another"):
+        train(tiny_recipe(folder), tmp_path, resume=resume)
+    assert left.read_text() == '{"epoch": 3}\nfree text\n' and os.listdir(tmp_path) == [name]
+
+
 @pytest.mark.slow
 def test_stops_when_told_and_goes_on(done, folder, tmp_path, monkeypatch):
     batch = Batches.batch

@@ -10,6 +10,7 @@ from types import TracebackType
 import numpy as np
 
 from sonarjax.io import JsonLines, write_png, write_text
+from sonarjax.segment.training.run import METRICS
 
 
 class Journal:
@@ -23,8 +24,8 @@ class Journal:
             return
         from tensorboardX import SummaryWriter  # takes half a second to import, and only training needs it
 
-        _forget_after(folder / "metrics.jsonl", step)
-        self._lines = JsonLines(folder / "metrics.jsonl")
+        _forget_after(folder / METRICS, step)
+        self._lines = JsonLines(folder / METRICS)
         self._events = SummaryWriter(str(folder / "events"), purge_step=step + 1 if step else None)
 
     def scalars(self, values: Mapping[str, float], step: int) -> None:

@@ -21,7 +21,8 @@ from tqdm import tqdm
 
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.io.given import check_kind, shown
+from sonarjax.io.given import check_kind
+from sonarjax.io.outputs import check_folder
 from sonarjax.segment.step import GanState, create_state
 from sonarjax.segment.tiled import TILE
 from sonarjax.segment.training.batches import Batches, Stored
@@ -39,11 +40,10 @@ from sonarjax.segment.training.devices import (
 from sonarjax.segment.training.evaluate import contact_sheet, predict_all, score
 from sonarjax.segment.training.journal import Journal
 from sonarjax.segment.training.recipes import Recipe, find_recipe
-from sonarjax.segment.training.run import open_run, versions
+from sonarjax.segment.training.run import CHECKPOINTS, WEIGHTS, open_run, versions
 from sonarjax.segment.training.signals import StopWish
 from sonarjax.segment.weights import INPUT, save_generator
 
-WEIGHTS = "weights.safetensors"
 FIRST_WEIGHTS, DROPOUT = 11, 12  # folded into the seed's key; 1 to 3 are those of pairs
 
 
@@ -72,7 +72,7 @@ def train(
 
     Args:
         preset: A recipe, or its name in `PRESETS`.
-        run_dir: Folder of the run.
+        run_dir: Folder of the run. For a new run it may hold other files, but none that a run would write over.
         resume: Continue a run from its last checkpoint, to the same weights.
         engine: Makes the pairs: on a CPU use `sonarjax.cpu.CpuEngine()`.
 
@@ -85,13 +85,12 @@ def train(
     """
     recipe = find_recipe(preset)
     check_kind(engine, Engine, "engine")
-    if not isinstance(run_dir, str | os.PathLike):
-        raise SonarjaxError(f"run_dir: expected a folder, got {shown(run_dir)}")
+    check_folder(run_dir, "run_dir")
     join_processes()
     folder = Path(run_dir)
     with StopWish() as wish, Batches(recipe, engine) as batches:  # a folder of pairs is read before the run begins
         open_run(recipe, folder, resume)
-        with Checkpoints(folder / "checkpoints") as checkpoints:
+        with Checkpoints(folder / CHECKPOINTS) as checkpoints:
             return _Run(recipe, folder, checkpoints, batches, wish).finish()
 
 

@@ -5,28 +5,51 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
+import numpy as np
+
 from sonarjax.data import PairSettings
 from sonarjax.data.pairs import PAPER_PAIRS, PAPER_SETTINGS
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.io.given import check_kind, shown
+from sonarjax.io.given import check_kind, is_text, is_whole, shown
 from sonarjax.segment.step import GanConfig
 
 
 def _is_count(value: Any, least: int = 1) -> bool:
-    return type(value) is int and value >= least  # a recipe is written as JSON, which NumPy's numbers are not
+    return is_whole(value) and value >= least
+
+
+def _is_real(value: Any) -> bool:
+    return isinstance(value, int | float | np.integer | np.floating)  # arrays have no hash, which a recipe needs
+
+
+def _is_bool(value: Any) -> bool:
+    return isinstance(value, bool | np.bool_)
+
+
+def _is_source(value: Any) -> bool:
+    return value is None or (isinstance(value, str | os.PathLike) and bool(os.fspath(value)))
+
+
+def _json_value(value: Any) -> Any:
+    """A number of NumPy or a path as a JSON type. Raises TypeError for anything else."""
+    return value.item() if isinstance(value, np.generic) else os.fspath(value)
 
 
 Rules = tuple[tuple[str, Callable[[Any], bool], str], ...]
-COUNT = "a whole number of 1 or more"
+COUNT, BOOL = "a whole number of 1 or more", "True or False"
 RULES: Rules = (
     ("batch pairs passes sets validation_pairs checkpoint_steps log_steps", _is_count, COUNT),
     ("run_seed", lambda v: _is_count(v, 0), "a whole number of 0 or more"),
-    ("mirrored plain", lambda v: 0 <= v <= 1, "a share from 0 to 1"),
-    ("largest_loss", lambda v: v > 0, "a number above 0"),
+    ("mirrored plain", lambda v: _is_real(v) and 0 <= v <= 1, "a share from 0 to 1"),
+    ("largest_loss", lambda v: _is_real(v) and v > 0, "a number above 0"),
+    ("name", is_text, "a text"),
+    ("discriminative", _is_bool, BOOL),
+    ("source", _is_source, "a folder or None"),
 )
 """Fields of a recipe, what must hold of each, and how that is said."""
 NETWORK_RULES: Rules = (
@@ -37,16 +60,23 @@ NETWORK_RULES: Rules = (
         lambda v: type(v) is tuple and len(v) == 7 and all(map(_is_count, v)),
         "a tuple of 7 whole numbers of 1 or more",
     ),
-    ("learning_rate", lambda v: 0 < v < math.inf, "a finite number above 0"),
-    ("distance adversarial cross_entropy", lambda v: 0 <= v < math.inf, "a finite number of 0 or more"),
-    ("beta1 beta2 ema_decay", lambda v: 0 <= v < 1, "a number from 0 to below 1"),
+    ("learning_rate", lambda v: _is_real(v) and 0 < v < math.inf, "a finite number above 0"),
+    (
+        "distance adversarial cross_entropy",
+        lambda v: _is_real(v) and 0 <= v < math.inf,
+        "a finite number of 0 or more",
+    ),
+    ("beta1 beta2 ema_decay", lambda v: _is_real(v) and 0 <= v < 1, "a number from 0 to below 1"),
     (
         "class_weights",
-        lambda v: type(v) is tuple and len(v) == 3 and min(v) >= 0 and 0 < sum(v) < math.inf,
+        lambda v: type(v) is tuple and len(v) == 3 and all(map(_is_real, v)) and min(v) >= 0 and 0 < sum(v) < math.inf,
         "a tuple of 3 finite numbers of 0 or more, not all 0",
     ),
+    ("skips saturating", _is_bool, BOOL),
 )
 """The same of its networks."""
+PAIR_RULES: Rules = (("tank", _is_bool, BOOL),)
+"""The same of how pairs are made; the other fields are checked when the settings are made."""
 
 
 def _check(prefix: str, values: Any, rules: Rules) -> None:
@@ -94,7 +124,7 @@ class Recipe:
     """
     pair_settings: PairSettings = field(default_factory=PairSettings)
     """How pairs are made."""
-    source: str | None = None
+    source: str | os.PathLike[str] | None = None
     """Folder of pairs (see `import_pairs`) to train on, instead of made ones; its last pairs are for validation."""
     validation_pairs: int = 128
     """Number of pairs on which the run is evaluated after each epoch."""
@@ -129,8 +159,11 @@ class Recipe:
         Raises:
             SonarjaxError: It cannot be followed.
         """
+        check_kind(self.networks, GanConfig, "recipe: networks")
+        check_kind(self.pair_settings, PairSettings, "recipe: pair_settings")
         _check("", self, RULES)
         _check("networks.", self.networks, NETWORK_RULES)
+        _check("pair_settings.", self.pair_settings, PAIR_RULES)
         if self.pairs < self.batch:
             raise SonarjaxError(f"recipe: pairs: expected at least one batch of {self.batch}, got {self.pairs}")
         if self.discriminative and self.networks.head != "classes":
@@ -148,7 +181,7 @@ class Recipe:
         Returns:
             The fields by name, those of `networks` and `pair_settings` nested.
         """
-        return json.loads(json.dumps(dataclasses.asdict(self)))
+        return json.loads(json.dumps(dataclasses.asdict(self), default=_json_value))
 
 
 PRESETS: dict[str, Recipe] = {

@@ -1,4 +1,4 @@
-"""The folder of a run: its recipe, and whether a run may be started or resumed there."""
+"""The folder of a run: its recipe, its files, and whether a run may be started or resumed there."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from sonarjax.io.files import reason
 from sonarjax.segment.training.devices import anywhere
 from sonarjax.segment.training.recipes import Recipe
 
-CONFIG = "config.json"
+CONFIG, METRICS, WEIGHTS, CHECKPOINTS = "config.json", "metrics.jsonl", "weights.safetensors", "checkpoints"
+"""Names in the folder of a run."""
 LIBRARIES = ("sonarjax", "jax", "jaxlib", "flax", "optax", "numpy")
 
 
@@ -24,7 +25,8 @@ def open_run(recipe: Recipe, run_dir: Path, resume: bool) -> None:
     If `resume` is true and the folder holds no run, a new run is started.
 
     Raises:
-        SonarjaxError: The folder holds a run and `resume` is false, its run has another recipe, or it cannot be used.
+        SonarjaxError: The folder holds a run and `resume` is false, its run has another recipe, it holds such files of
+            something else, or it cannot be used.
     """
     error: SonarjaxError | None = None
     if jax.process_index() == 0:
@@ -39,8 +41,10 @@ def open_run(recipe: Recipe, run_dir: Path, resume: bool) -> None:
 def _open(recipe: Recipe, run_dir: Path, resume: bool) -> None:
     config = run_dir / CONFIG
     try:
-        (run_dir / "samples").mkdir(parents=True, exist_ok=True)
         begun = config.exists()
+        if not begun:
+            _check_unused(run_dir)
+        (run_dir / "samples").mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise SonarjaxError(f"{run_dir}: cannot be used for a run: {reason(error)}") from error
     if begun and not resume:
@@ -49,6 +53,13 @@ def _open(recipe: Recipe, run_dir: Path, resume: bool) -> None:
         _check_same(recipe, config)
     else:
         write_text(config, json.dumps({"recipe": recipe.as_json(), "versions": versions()}, indent=2) + "\n")
+
+
+def _check_unused(run_dir: Path) -> None:
+    """Raise a SonarjaxError if a new run would change or continue what another program left in its folder."""
+    for name in (METRICS, WEIGHTS, CHECKPOINTS):
+        if (run_dir / name).exists():
+            raise SonarjaxError(f"{run_dir}: holds {name} of something else (no {CONFIG}): expected another folder")
 
 
 def _check_same(recipe: Recipe, config: Path) -> None:
