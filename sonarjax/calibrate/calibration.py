@@ -13,7 +13,7 @@ import numpy as np
 
 from sonarjax.calibrate.covariance import Certainty
 from sonarjax.calibrate.detect import Prepared, best_height, detect
-from sonarjax.calibrate.fit import FINE, Job, fit_frames, with_nominal_look
+from sonarjax.calibrate.fit import FINE, Job, fit_frames, relative_residual, with_nominal_look
 from sonarjax.calibrate.inputs import check_floor, check_frames, check_kinds, check_not_blank, starts_of
 from sonarjax.calibrate.look import Look, sensor_of
 from sonarjax.calibrate.parameters import INCIDENCE, INCIDENCE_DEG, changed_sonar, check_free, prior_std
@@ -42,6 +42,8 @@ WIDENING = 1.47
 frames of one device share the error that this makes, so they do not disagree about it. Fitted to the errors on drawn
 devices of another seed than those of the docs (`python -m experiments.self_calibration --seeds 1`).
 """
+FEW_FRAMES = 3
+"""With fewer frames than this, `calibrate` notes that its error bars know little of errors that pixels share."""
 FIRST_FRAMES = 10
 """Most frames of the first fit, whose result only has to be good enough to search again."""
 
@@ -67,10 +69,15 @@ class Calibration:
     for an incidence limit that the frames do not show: it is then 90°.
     """
     covariance: np.ndarray
-    """Covariance of that change (free, free), given frames and prior."""
+    """Covariance of that change (free, free), given frames and prior.
+
+    A number that is not determined has the variance of its prior, and passes its error on to the others. How much
+    neighbouring pixels err together shows only in how frames differ. With one frame, and hardly less so with two, the
+    covariance therefore takes all pixels for independent, and is much too small.
+    """
     determined: dict[str, bool]
-    """For each free number, whether the frames determine it: they halve the standard deviation of its prior or
-    do better, before it is widened by `WIDENING`.
+    """For each free number, whether the frames determine it: with all numbers free, they halve the standard deviation
+    of its prior or do better, before it is widened by `WIDENING`. With one or two frames too much counts as determined.
     """
     singular_values: np.ndarray
     """Singular values of the frames' information about the free numbers, in units of their priors (free,),
@@ -88,7 +95,9 @@ class Calibration:
     probability: np.ndarray
     """Probability that each frame (frame,) shows the target."""
     residual: np.ndarray
-    """RMS of each frame's residuals (frame,), divided by the median over all that were used; NaN if not used."""
+    """RMS of each frame's residuals (frame,) where it was measured, divided by the median over all that were used; NaN
+    if not used.
+    """
     converged: bool
     """True if the fit has settled: a further step would gain next to nothing."""
 
@@ -135,7 +144,8 @@ def calibrate(
         segmenter: The segmenter, or its name.
         search: How the target is searched for.
         engine: Runs the compiled functions.
-        progress: Called with a text that says what is being done.
+        progress: Called with a text that says what is being done, and with a note if fewer than `FEW_FRAMES` frames are
+            fitted.
 
     Returns:
         The fitted sonar, device and poses, with how certain the free numbers are and which frames were used.
@@ -235,7 +245,8 @@ def _as_calibration(
     for values, column in ((yaw, 0), (x, 1), (y, 2)):
         values[used] += fit.point.own[:, column]
     residual = np.full(len(used), np.nan)
-    residual[used] = np.sqrt(fit.costs / np.median(fit.costs))
+    residual[used] = relative_residual(fit.costs, [job.frames[k].mask for k in np.flatnonzero(used)])
+    _note_few_frames(int(used.sum()), job.progress)
     sonar = changed_sonar(job.sonar, job.free, jnp.asarray(change, jnp.float32))
     numbers = {f: float(getattr(sonar, f)) for f in FIELDS if np.ndim(getattr(sonar, f)) == 0}
     std = dict(zip(job.free, np.sqrt(np.diag(known.covariance)).tolist(), strict=True))
@@ -255,6 +266,13 @@ def _as_calibration(
         residual=residual,
         converged=fit.converged,
     )  # fmt: skip
+
+
+def _note_few_frames(count: int, progress: Callable[[str], None]) -> None:
+    """Tell the user if so few frames were fitted that their differences say next to nothing about shared errors."""
+    if count < FEW_FRAMES:
+        frames = "1 frame was" if count == 1 else f"{count} frames were"
+        progress(f"note: only {frames} fitted: the error bars know of independent pixel noise only and are too small")
 
 
 FIELDS = ("tilt", "roll", "height", "elevation_aperture", "range_min", "range_max", "highlight_max_incidence")

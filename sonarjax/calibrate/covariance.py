@@ -46,24 +46,68 @@ def certainty(
         widening: Factor on the standard deviations that the frames imply [1], for errors that all frames share. It does
             not decide what is determined.
     """
-    count, frames = len(free), len(scores)
+    count = len(free)
     of_free, across, of_look = information[:count, :count], information[:count, count:], information[count:, count:]
     alone = of_free - across @ np.linalg.solve(of_look + np.diag(1 / np.array(LOOK_STD) ** 2), across.T)
     scaled = alone * std[:, None] * std
     values, directions = np.linalg.eigh(scaled)
-    prior = np.diag(1 / np.concatenate([std, LOOK_STD]) ** 2)
-    inverse = np.linalg.inv(information + prior)
-    centred = scores - scores.mean(axis=0)
-    seen = centred.T @ centred * frames / max(frames - 1, 1)
-    spread = (frames * seen + MODEL_FRAMES * information) / (frames + MODEL_FRAMES)
-    left = np.sqrt(np.diag(inverse @ (spread + prior) @ inverse)[:count]) / std
+    inverse = np.linalg.inv(information + _prior_information(std))
+    left = np.sqrt(np.diag(error_covariance(information, scores, std))) / std
     return Certainty(
-        covariance=(inverse @ (widening**2 * spread + prior) @ inverse)[:count, :count],
+        covariance=error_covariance(information, scores, std, widening),
         determined={name: bool(share <= OBSERVABLE) for name, share in zip(free, left, strict=True)},
         singular_values=np.sqrt(np.maximum(values[::-1], 0.0)),
         weakest=dict(zip(free, directions[:, 0].tolist(), strict=True)),
         bound=np.sqrt(np.diag(inverse)[:count]),
     )
+
+
+def error_covariance(
+    information: np.ndarray, scores: np.ndarray, std: np.ndarray, widening: float = 1.0,
+    put_back: np.ndarray | None = None,
+) -> np.ndarray:  # fmt: skip
+    """Covariance (free, free) of the errors of the free numbers after a fit.
+
+    A number that was put back to its nominal value has the error of its prior. The fit of the other numbers took that
+    value for right, so it passes its error on to them, as in `sonarjax.refine.uncertainty`. `widening` concerns only
+    what the frames say.
+
+    Args:
+        information: As in `certainty`, of the fit in which the numbers stayed where they were put.
+        scores: As in `certainty`, of the same fit.
+        std: Standard deviations of the priors (free,).
+        widening: As in `certainty`.
+        put_back: Which free numbers (free,) were put back; None means none.
+    """
+    count, prior = len(std), _prior_information(std)
+    fixed = np.zeros(len(prior), bool)
+    fixed[:count] = False if put_back is None else put_back
+    fitted, held = np.flatnonzero(~fixed), np.flatnonzero(fixed)
+    among = np.ix_(fitted, fitted)
+    inverse = np.linalg.inv((information + prior)[among])
+    passed_on = np.eye(len(prior))[:, held]
+    passed_on[fitted] = -inverse @ information[np.ix_(fitted, held)]
+    covariance = (passed_on * std[held] ** 2) @ passed_on.T
+    covariance[among] += inverse @ (widening**2 * _spread(information, scores) + prior)[among] @ inverse
+    return covariance[:count, :count]
+
+
+def _prior_information(std: np.ndarray) -> np.ndarray:
+    """What the priors say (shared, shared), given those of the free numbers (free,)."""
+    return np.diag(1 / np.concatenate([std, LOOK_STD]) ** 2)
+
+
+def _spread(information: np.ndarray, scores: np.ndarray) -> np.ndarray:
+    """Covariance (shared, shared) of the sum of the frames' scores: their disagreement, mixed with the information.
+
+    One frame cannot disagree, which does not mean that it is right: then the information alone is taken.
+    """
+    frames = len(scores)
+    if frames == 1:
+        return information
+    centred = scores - scores.mean(axis=0)
+    seen = centred.T @ centred * frames / (frames - 1)
+    return (frames * seen + MODEL_FRAMES * information) / (frames + MODEL_FRAMES)
 
 
 def overcounted(information: np.ndarray, scores: np.ndarray, std: np.ndarray) -> float:
@@ -72,10 +116,10 @@ def overcounted(information: np.ndarray, scores: np.ndarray, std: np.ndarray) ->
     The residuals of neighbouring pixels err together, so many pixels count the same thing. Frames are independent of
     each other. If pixels were as well, the sum of the outer products of the frames' `scores` (frame, shared) would
     equal the information (the sandwich of Huber, Proc. Fifth Berkeley Symp. 1, 1967; a single factor here, because
-    frames may be few). `std` (free,) are the standard deviations of the priors of the free numbers, which come first.
+    frames may be few). One frame does not tell, and gives 1. `std` (free,) are the standard deviations of the priors of
+    the free numbers, which come first.
     """
-    prior = np.diag(1 / np.concatenate([std, LOOK_STD]) ** 2)
-    inverse = np.linalg.inv(information + prior)
+    inverse = np.linalg.inv(information + _prior_information(std))
     frames = len(scores)
     centred = scores - scores.mean(axis=0)
     measured = np.trace(inverse @ centred.T @ centred) * frames / max(frames - 1, 1)

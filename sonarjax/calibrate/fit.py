@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sonarjax.calibrate.covariance import Certainty, certainty, overcounted
+from sonarjax.calibrate.covariance import Certainty, certainty, error_covariance, overcounted
 from sonarjax.calibrate.detect import Prepared
 from sonarjax.calibrate.linearise import OWN, Blocks, Observation, linearise
 from sonarjax.calibrate.look import LOOK
@@ -84,7 +84,8 @@ def fit_frames(
     """Fit `frames` jointly in `stages`, from their poses and `begin` (free + look,); say how well all is known.
 
     `begin` holds the changes of the free numbers, then the look. A number that the frames do not determine is put back
-    to its nominal value, see `_put_back`.
+    to its nominal value, see `_put_back`, and the others are fitted again. The covariance is that of the last fit;
+    everything else about certainty is from the first, in which no number was held.
     """
     change = begin[: len(job.free)]
     size = _window(job, starts, change)
@@ -98,6 +99,11 @@ def fit_frames(
         back = _put_back(job, fit.point.shared[:count], loose)
         again = fit.point._replace(shared=np.concatenate([back, fit.point.shared[count:]]))
         fit = _fitted(job, observations, size, again, loose, stages[-1:])
+        # Also an incidence limit that stays at 90° has the error of its prior: facets that were not seen may still show
+        # a limit. It passes none on, because there the picture does not change with the limit.
+        put_back = np.isin(job.free, loose)
+        covariance = error_covariance(fit.information, fit.scores, job.std, job.widening, put_back)
+        known = known._replace(covariance=covariance)
     return fit, known
 
 
@@ -212,3 +218,9 @@ def _smooth(spread: np.ndarray) -> np.ndarray:
     mean = np.convolve(padded, np.ones(width) / width, mode="valid")
     usual = np.median(mean[spread > 0]) if (spread > 0).any() else 0.0
     return np.maximum(mean, usual + 1e-4).astype(np.float32)
+
+
+def relative_residual(costs: np.ndarray, masks: Sequence[np.ndarray | None]) -> np.ndarray:
+    """RMS (frame,) of residuals from the frames' `costs` (frame,), which sum over measured pixels; 1 in the median."""
+    mean = costs / [1.0 if mask is None else mask.mean() for mask in masks]
+    return np.sqrt(mean / np.median(mean))

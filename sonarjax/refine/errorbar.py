@@ -83,6 +83,7 @@ class PoseErrorBar(NamedTuple):
     """Errors of a pose refined on a frame: `factor` squared × the curvature's covariance, plus what the template lacks.
 
     The second part is the same for every frame, and adds to the variance of each number. More frames do not reduce it.
+    What a number that was held passes on to the others comes from its bounds, not from the frame: no factor widens it.
     """
 
     factor: float
@@ -100,8 +101,8 @@ class PoseErrorBar(NamedTuple):
 
         Args:
             curvature: Covariance from the curvature (free, free) [m, rad].
-            observable: True for observable numbers (free,). The others keep their variance, which is that of their
-                bounds.
+            observable: True for observable numbers (free,). The others were held: they keep their variance, which is
+                that of their bounds, and what they pass on to the others is kept too.
             free: Names of the free numbers, in their order.
 
         Returns:
@@ -110,7 +111,23 @@ class PoseErrorBar(NamedTuple):
         each = np.where(observable, self.factor, 1.0)
         added = np.array([self.angle if NUMBERS[name].unit == "rad" else self.place for name in free])
         known = np.where(observable, added**2, 0.0)
-        return curvature * each[..., :, None] * each[..., None, :] + known[..., None] * np.eye(len(free))
+        kept = _passed_on(curvature, observable)
+        fitted = (curvature - kept) * each[..., :, None] * each[..., None, :]
+        return kept + fitted + known[..., None] * np.eye(len(free))
+
+
+def _passed_on(
+    covariance: Float[np.ndarray, "*batch free free"], observable: Bool[np.ndarray, "*batch free"]
+) -> Float[np.ndarray, "*batch free free"]:
+    """The part of a `covariance` (free, free) that comes from the errors of numbers that are not `observable` (free,).
+
+    It follows from their covariances with the others, by linear regression. Infinite variances have none.
+    """
+    held = ~observable
+    finite = np.where(np.isfinite(covariance), covariance, 0.0)
+    across = np.where(held[..., None, :], finite, 0.0)
+    among = np.where(held[..., :, None], across, 0.0)
+    return across @ np.linalg.pinv(among) @ np.swapaxes(across, -1, -2)
 
 
 POSE_ERROR_BAR = PoseErrorBar(factor=10.17, place=0.004375, angle=0.0)

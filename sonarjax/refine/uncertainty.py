@@ -26,6 +26,10 @@ LEAST_SHARE = 1e-3
 """Directions with a smaller share of the information are not used to judge how noisy it is [1]."""
 
 
+RIDGE = 1e-6
+"""Added to the information before it is inverted, as a share of what it says of each number [1]."""
+
+
 class Normal(NamedTuple):
     """The normal equations of one frame at a solution, in units of the image's norm."""
 
@@ -85,9 +89,8 @@ def error_covariance(
     """
     information, noise = normal
     size = len(information)
-    ridge = 1e-6 * jnp.trace(information) + 1e-12
     fixed = held[:, None] | held
-    inverse = jnp.linalg.inv(jnp.where(fixed, jnp.eye(size), information) + ridge * jnp.eye(size))
+    inverse = _inverse(jnp.where(fixed, jnp.eye(size), information))
     spread = inverse @ jnp.where(fixed, 0.0, noise) @ inverse
     passed_on = -inverse @ jnp.where(held & ~held[:, None], information, 0.0) + jnp.diag(held.astype(jnp.float32))
     covariance = spread + (passed_on * jnp.where(held, prior**2, 0.0)) @ passed_on.T
@@ -95,6 +98,18 @@ def error_covariance(
     known = known & jnp.isfinite(variance) & ((jnp.diag(information) > 0) | held)
     off = jnp.where(known[:, None] & known, covariance, 0.0)
     return jnp.where(jnp.eye(size, dtype=bool), jnp.where(known, jnp.maximum(variance, 0.0), jnp.inf), off)
+
+
+def _inverse(information: Float[Array, "step step"]) -> Float[Array, "step step"]:
+    """The inverse, with a ridge.
+
+    Each number is scaled to an information of 1 of its own first. A ridge in mixed units would drown a number about
+    which little is known, and make it seem the better known the less is said about it.
+    """
+    told = jnp.diag(information)
+    scale = 1 / jnp.sqrt(jnp.where(told > 0, told, 1.0))
+    scaled = information * scale[:, None] * scale
+    return jnp.linalg.inv(scaled + RIDGE * jnp.eye(len(told))) * scale[:, None] * scale
 
 
 @full_precision

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from sonarjax.calibrate.detect import Prepared
-from sonarjax.calibrate.fit import FINE, Job, fit_frames, with_nominal_look
+from sonarjax.calibrate.fit import FINE, Job, fit_frames, relative_residual, with_nominal_look
 from sonarjax.calibrate.inputs import check_floor, check_frames, check_kinds, check_not_blank, starts_of
 from sonarjax.calibrate.parameters import SIZES, changed_mesh, prior_std
 from sonarjax.engine import PLAIN, Engine
@@ -36,7 +36,11 @@ class SizeEstimate:
     scale: np.ndarray
     """Ratio of each free extent to that of the given mesh (free,) [1]; 1 if undetermined."""
     covariance: np.ndarray
-    """Covariance of the logarithms of `scale` (free, free), given frames and prior."""
+    """Covariance of the logarithms of `scale` (free, free), given frames and prior.
+
+    An extent that is not determined has the variance of its prior, and passes its error on to the others. With one or
+    two frames all pixels are taken for independent, so that the covariance is much too small.
+    """
     determined: dict[str, bool]
     """For each extent, whether the frames determine it: they halve the standard deviation of its prior or do better."""
     singular_values: np.ndarray
@@ -46,7 +50,7 @@ class SizeEstimate:
     poses: Pose
     """The object's pose in each frame (frame,); yaw is not wrapped to [0, 2π)."""
     residual: np.ndarray
-    """RMS of each frame's residuals (frame,), divided by the median over all frames."""
+    """RMS of each frame's residuals (frame,) where it was measured, divided by the median over all frames."""
     converged: bool
     """True if the fit has settled: a further step would gain next to nothing."""
 
@@ -125,6 +129,6 @@ def fit_size(
             x=np.asarray(poses.x) + own[:, 1], y=np.asarray(poses.y) + own[:, 2], yaw=np.asarray(poses.yaw) + own[:, 0],
             z=poses.z, roll=poses.roll, pitch=poses.pitch,
         ),
-        residual=np.sqrt(fit.costs / np.median(fit.costs)),
+        residual=relative_residual(fit.costs, measured),
         converged=fit.converged,
     )  # fmt: skip

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from sonarjax.exact import full_precision
+from sonarjax.exact import check_single_precision, full_precision
 from sonarjax.records import record
 from sonarjax.track.motion import Motion, TrackConfig, Turning
 from sonarjax.track.reduce import Mixture, reduced, signed
@@ -155,7 +155,11 @@ def step(belief: Belief, measurement: Measurement, numbers: Numbers) -> Belief:
 
     Returns:
         The belief after this frame (component,).
+
+    Raises:
+        SonarjaxError: JAX is in its 64-bit mode.
     """
+    check_single_precision()
     expected = predicted(belief, measurement.sonar, measurement.elapsed, numbers)
     mean, covariance = expected.mean, expected.covariance
     fading = jnp.where(jnp.isfinite(measurement.log_weight).any(), numbers.fading, 1.0)
@@ -244,14 +248,28 @@ def predicted(belief: Belief, sonar: Float[Array, "3"], elapsed: Float[Array, ""
         aspect = jnp.sqrt(changed**2 + covariance[RATE, RATE] * elapsed**2)
         alike = jnp.exp(-aspect / numbers.aspect)
         transition = jnp.eye(STATES).at[YAW, RATE].set(elapsed).at[4, 4].set(alike)
-        drifts = numbers.yaw_drift, numbers.place_drift, numbers.place_drift, numbers.rate_drift
         anew = (1 - alike**2) * numbers.floor**2
-        noise = jnp.diag(jnp.stack([*(v**2 * elapsed for v in drifts), anew, 0.0 * anew, 0.0 * anew]))
+        noise = _drift(elapsed, numbers).at[4, 4].set(anew)
         cross = covariance @ transition.T
         spread, kept = with_limited_yaw(transition @ cross + noise)
         return transition @ mean, spread, cross.at[:, YAW].mul(kept), transition, noise
 
     return Prediction(*jax.vmap(one)(belief.mean, belief.covariance))
+
+
+def _drift(elapsed: Array, numbers: Numbers) -> Float[Array, "7 7"]:
+    """Covariance that the motion adds in `elapsed` [frames], without that of the shared errors.
+
+    The rate is a random walk from frame to frame, and each of its steps turns yaw in all later frames. So a gap of n
+    frames adds as much as n frames that say nothing: sums of 1 to n - 1, and of their squares. Within one frame the
+    rate has no later frame to act on.
+    """
+    stds = numbers.yaw_drift, numbers.place_drift, numbers.place_drift, numbers.rate_drift
+    own = jnp.diag(jnp.stack([*(v**2 * elapsed for v in stds), *jnp.zeros(3)]))
+    frames = jnp.maximum(elapsed, 1.0)
+    walk = numbers.rate_drift**2 * frames * (frames - 1)
+    turned = own.at[YAW, YAW].add(walk * (2 * frames - 1) / 6)
+    return turned.at[YAW, RATE].set(walk / 2).at[RATE, YAW].set(walk / 2)
 
 
 def with_limited_yaw(covariance: Float[Array, "7 7"]) -> tuple[Float[Array, "7 7"], Float[Array, ""]]:
@@ -331,6 +349,9 @@ def run_filter(belief: Belief, measurements: Measurement, numbers: Numbers) -> B
 
     Returns:
         The beliefs after each frame (frame, component).
+
+    Raises:
+        SonarjaxError: JAX is in its 64-bit mode.
     """
 
     def one(before: Belief, measurement: Measurement) -> tuple[Belief, Belief]:

@@ -13,8 +13,9 @@ import pytest
 
 import sonarjax as sj
 from experiments.incidence_limit import darkened
-from sonarjax.calibrate.calibration import WIDENING, _possible
-from sonarjax.calibrate.fit import Job, _put_back, _starts
+from sonarjax.calibrate.calibration import WIDENING, _note_few_frames, _possible
+from sonarjax.calibrate.detect import Prepared
+from sonarjax.calibrate.fit import FINE, Job, _put_back, _starts, fit_frames, relative_residual, with_nominal_look
 from sonarjax.calibrate.inputs import check_floor
 from sonarjax.calibrate.linearise import OWN, Observation, linearise
 from sonarjax.calibrate.look import LOOK
@@ -150,6 +151,56 @@ def test_an_undetermined_number_is_put_back_but_no_limit_stays_no_limit() -> Non
     ):
         np.testing.assert_array_equal(_put_back(job, np.array(change), loose), expected)
     assert _starts(job, "highlight_max_incidence") == [0.0, 20.0, 5.0, -10.0, -25.0]
+
+
+class Linear:
+    """An engine whose frames depend linearly on tilt and aperture, given in units of their priors `std` (2,).
+
+    Each sees the tilt, mixed with some of the aperture, and next to nothing of the aperture alone.
+    """
+
+    def __init__(self, std: np.ndarray, frames: int) -> None:
+        rows = np.zeros((6, OWN + 2 + len(LOOK)))
+        rows[:4, :OWN] = 30 * np.eye(4)
+        rows[4, OWN : OWN + 2] = 3.0 / std[0], 1.2 / std[1]
+        rows[5, OWN + 1] = 0.3 / std[1]
+        self.rows, self.noise = rows, np.random.default_rng(5).normal(size=(frames, 6))
+
+    def map(self, function, values):
+        return [function(value) for value in values]
+
+    def run(self, function, seen, mesh, sonar, shared, own, *args, **kwargs):
+        off = self.rows @ np.concatenate([own - [0, 0, 0, 0.2], shared - [0, 0, *LOOK]])
+        off = off - self.noise[round(1000 * float(seen.start.z))]
+        return self.rows.T @ self.rows, self.rows.T @ off, off @ off / 2, np.ones(128)
+
+
+def test_an_undetermined_number_has_its_priors_error_and_passes_it_on() -> None:
+    free, std, frames = ("tilt", "elevation_aperture"), np.array([0.05, 0.03]), 8
+    images = [np.random.default_rng(k).random(NOMINAL.shape).astype(np.float32) for k in range(frames)]
+    prepared = [Prepared(image, None, image) for image in images]
+    starts = [sj.Pose(2.2, 0.0, 0.0, z=k / 1000) for k in range(frames)]
+    job = Job(prepared, sj.objects.brick(), NOMINAL, free, std, Linear(std, frames), lambda text: None, WIDENING)
+    fit, known = fit_frames(job, prepared, starts, with_nominal_look(np.zeros(2)), (FINE,))
+    assert known.determined == {"tilt": True, "elevation_aperture": False} and fit.point.shared[1] == 0
+    assert known.covariance[1, 1] == pytest.approx(std[1] ** 2)
+    # The frames say 3 tilt + 1.2 aperture, in units of the priors: the aperture's error is 0.4 times that of the tilt.
+    assert known.covariance[0, 1] / np.prod(std) == pytest.approx(-0.4, abs=0.01)
+    assert 0.4 < math.sqrt(known.covariance[0, 0]) / std[0] < 0.5
+
+
+def test_residuals_are_compared_over_measured_pixels() -> None:
+    """Three frames with residuals of 1, 1 and 2, one of which was measured in a quarter of its pixels only."""
+    quarter = np.arange(8).reshape(2, 4) < 2
+    found = relative_residual(np.array([8.0, 2.0, 32.0]), [None, quarter, np.ones((2, 4), bool)])
+    np.testing.assert_allclose(found, [1.0, 1.0, 2.0])
+
+
+@pytest.mark.parametrize(("count", "said"), [(1, "only 1 frame was"), (2, "only 2 frames were"), (3, None)])
+def test_too_few_frames_are_noted(count: int, said: str | None) -> None:
+    texts: list[str] = []
+    _note_few_frames(count, texts.append)
+    assert len(texts) == (said is not None) and all(text.startswith(f"note: {said}") for text in texts)
 
 
 def test_no_incidence_limit_is_above_90_degrees() -> None:

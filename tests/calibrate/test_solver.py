@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sonarjax.calibrate.covariance import certainty, overcounted
+from sonarjax.calibrate.covariance import certainty, error_covariance, overcounted
 from sonarjax.calibrate.linearise import OWN, Blocks
 from sonarjax.calibrate.look import LOOK, LOOK_STD
 from sonarjax.calibrate.solver import BOUNCE, BOUNCE_STD, LOOKS, Point, make_prior, solve_jointly
@@ -162,6 +162,33 @@ def test_errors_that_all_frames_share_widen_what_the_frames_say_and_not_the_prio
     ratio = np.sqrt(np.diag(wider.covariance) / np.diag(known.covariance))
     np.testing.assert_allclose(ratio, [2.0, 1.0], rtol=1e-4)
     np.testing.assert_allclose(wider.bound, known.bound)
+
+
+def test_a_number_that_was_put_back_has_the_error_of_its_prior_and_passes_it_on() -> None:
+    """A linear model: 4000 times, the tilt and the look are fitted with the height at its nominal value."""
+    rng = np.random.default_rng(4)
+    slope = rng.normal(size=(60, SHARED)) / np.concatenate([STD, np.ones(LOOKS)])
+    slope[:, 0] += 0.7 * STD[1] / STD[0] * slope[:, 1]
+    truth = rng.normal(size=(4000, SHARED)) * np.concatenate([STD, LOOK_STD])
+    noise = 5.0 * rng.normal(size=(4000, 60))
+    information, fitted = slope.T @ slope / 25, np.arange(SHARED) != 1
+    inside = (information + np.diag(1 / np.concatenate([STD, LOOK_STD]) ** 2))[np.ix_(fitted, fitted)]
+    seen = (truth @ slope.T + noise) @ slope[:, fitted] / 25
+    errors = np.stack([np.linalg.solve(inside, seen.T)[0] - truth[:, 0], -truth[:, 1]])
+    scores = agreeing(information)
+    said = error_covariance(information, scores, STD, put_back=np.array([False, True]))
+    np.testing.assert_allclose(said / np.outer(STD, STD), np.cov(errors) / np.outer(STD, STD), atol=0.03)
+    # Errors that all frames share widen what the frames say, not what is passed on.
+    wider = error_covariance(information, scores, STD, 2.0, np.array([False, True]))
+    np.testing.assert_allclose(wider[1], said[1])
+    own = np.linalg.inv(inside) @ information[np.ix_(fitted, fitted)] @ np.linalg.inv(inside)
+    assert wider[0, 0] - said[0, 0] == pytest.approx(3 * own[0, 0])
+
+
+def test_one_frame_does_not_disagree_and_is_not_the_surer_for_it() -> None:
+    information = np.diag([4 / STD[0] ** 2, 9 / STD[1] ** 2, *np.ones(LOOKS)])
+    known = certainty(information, np.ones((1, SHARED)), STD, FREE)
+    np.testing.assert_allclose(np.sqrt(np.diag(known.covariance)), known.bound)
 
 
 def test_frames_that_disagree_widen_the_covariance() -> None:

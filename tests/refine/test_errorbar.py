@@ -46,8 +46,22 @@ def test_flatter_curves_mean_a_larger_error() -> None:
 
 def test_a_pose_has_the_errors_of_the_curvature_and_of_the_template() -> None:
     curvature = np.array([[4.0, 1.0, 0.5], [1.0, 9.0, 0.0], [0.5, 0.0, 16.0]])
-    found = PoseErrorBar(2.0, 3.0, 5.0).covariance(curvature, np.array([True, True, False]), ("yaw", "x", "z"))
-    assert found == pytest.approx(np.array([[41.0, 4.0, 1.0], [4.0, 45.0, 0.0], [1.0, 0.0, 16.0]]))
+    found = PoseErrorBar(2.0, 3.0, 5.0).covariance(curvature, np.ones(3, bool), ("yaw", "x", "z"))
+    assert found == pytest.approx(np.array([[41.0, 4.0, 2.0], [4.0, 45.0, 0.0], [2.0, 0.0, 73.0]]))
+
+
+def test_what_a_held_number_passes_on_is_not_widened() -> None:
+    """Errors of yaw and x are linear in that of z, apart from what the frame says of them; two poses at once."""
+    data, bounds = np.array([[4.0, 1.0], [1.0, 9.0]]), 16.0
+    slope = np.array([[0.5, -2.0], [0.0, 0.0]])
+    across = bounds * slope[:, :, None]
+    curvature = np.block([[data + bounds * slope[:, :, None] * slope[:, None, :], across],
+                          [across.transpose(0, 2, 1), np.full((2, 1, 1), bounds)]])  # fmt: skip
+    observable = np.array([[True, True, False]] * 2)
+    found = PoseErrorBar(2.0, 3.0, 5.0).covariance(curvature, observable, ("yaw", "x", "z"))
+    wanted = curvature.copy()
+    wanted[:, :2, :2] += 3 * data + np.diag([25.0, 9.0])
+    assert found == pytest.approx(wanted)
 
 
 def test_nothing_known_stays_infinite() -> None:

@@ -34,6 +34,14 @@ def test_errors_of_a_held_number_are_passed_on():
     np.testing.assert_allclose(free, sigma**2 * np.linalg.inv(information), rtol=1e-3, atol=1e-7)
 
 
+@pytest.mark.parametrize("weak", [1.0, 1e-2, 1e-4, 1e-6])
+def test_the_less_is_said_about_a_number_the_less_it_is_known(weak):
+    """Whatever is said about another number in another unit: yaw by `weak`, x by 2000 per square metre."""
+    information = np.diag([weak, 2e3, 2e3])
+    found = error_covariance(normal(information, 1e-3 * information), jnp.asarray(PRIOR), jnp.zeros(3, bool), KNOWN)
+    np.testing.assert_allclose(found, 1e-3 * np.linalg.inv(information), rtol=1e-3)
+
+
 def test_observability_is_what_is_left_of_the_prior():
     """Independent numbers told with standard deviations of 1, 0.55 and 0.1 of their priors: left are s/√(1 + s²)."""
     share = np.array([1.0, 0.55, 0.1])

@@ -23,6 +23,7 @@ from sonarjax.track import (
 )
 from sonarjax.track.belief import run_filter
 from sonarjax.track.measurement import each_of, probability
+from sonarjax.track.smooth import run_smoother
 from tests.track.measurements import STD, Reader, found
 
 # One Gaussian for each hypothesis, with the whole of its error bar; hardly any misses.
@@ -81,6 +82,45 @@ def test_one_hypothesis_is_the_textbooks_kalman_filter(rng):
     mean, spread = textbook(yaws, motion, STD)
     assert [mode.yaw, mode.rate] == pytest.approx(mean, abs=3e-4)
     assert mode.covariance[np.ix_([0, 3], [0, 3])] == pytest.approx(spread, rel=2e-2, abs=1e-7)
+
+
+@pytest.mark.parametrize("yaw_drift", [0.0, math.radians(0.7)])
+@pytest.mark.parametrize("gap", [1, 2, 7])
+def test_a_gap_is_as_many_missed_frames(gap, yaw_drift):
+    """The rate's random walk turns the object during a gap too."""
+    motion = Turning(rate_drift=math.radians(1.0), yaw_drift=yaw_drift)
+    seen = [found([1.0 + 0.05 * k]) for k in range(6)]
+    missed, later = after([*seen, *[None] * gap], motion), after(seen, motion)
+    (ahead,) = later.expected(elapsed=float(gap))
+    later.take(None, elapsed=float(gap))
+    for mode in (ahead, best(later)):
+        np.testing.assert_allclose(mode.covariance, best(missed).covariance, rtol=2e-3, atol=1e-8)
+        assert mode.yaw_std == pytest.approx(best(missed).yaw_std, rel=1e-2)  # which components merged differs
+
+
+def test_smoothing_over_a_gap_is_smoothing_over_missed_frames():
+    """A gap after two frames with a hypothesis, and one after a frame that showed nothing and had none before it."""
+    motion = Turning(rate_drift=math.radians(1.0), yaw_drift=0.0)
+    ways = []
+    for missed, gap in ((3, 1.0), (0, 4.0)):
+        frames = [(None, 1.0)] * (1 + missed) + [(found([1.0]), gap), (found([1.1]), 1.0)]
+        frames += [(None, 1.0)] * missed + [(found([1.4]), gap), (found([1.5]), 1.0)]
+        tracker = sj.Tracker(Reader(), motion, config=PLAIN)
+        beliefs = [tracker.take(one, elapsed=elapsed).belief for one, elapsed in frames]
+        smoothed = run_smoother(jax.tree.map(lambda *v: jnp.stack(v), *beliefs), tracker.numbers)
+        times = np.cumsum([0.0, *(elapsed for _, elapsed in frames[1:])])
+        ways.append([modes_of(each_of(smoothed)[k])[0] for k in np.searchsorted(times, [0.0, 4.0, 5.0, 9.0])])
+    for missed, once in zip(*ways, strict=True):
+        assert off(once.yaw, missed.yaw) == pytest.approx(0.0, abs=1e-4)
+        np.testing.assert_allclose(once.covariance, missed.covariance, rtol=0.02, atol=1e-7)
+
+
+def test_less_than_a_frame_has_no_turn_by_a_drifting_rate():
+    still = Turning(rate_std=0.0, rate_drift=0.1, yaw_drift=0.02)
+    tracker = after([found([1.0])], still)
+    (soon,) = tracker.expected(elapsed=0.5)
+    assert soon.covariance[0, 0] == pytest.approx(best(tracker).covariance[0, 0] + 0.5 * 0.02**2, rel=1e-3)
+    assert soon.covariance[0, 3] == 0.0
 
 
 def test_a_turn_through_north_goes_on(rng):
@@ -238,6 +278,13 @@ def summed(belief) -> list[float]:
     """What does not depend on the order of equal components."""
     weight = jnp.exp(belief.log_weight)
     return [weight.sum(), weight @ jnp.cos(belief.mean[:, 0]), weight @ belief.mean[:, 1], weight[0]]
+
+
+def test_the_64_bit_mode_is_one_clear_error():
+    config = TrackConfig(components=4)
+    start, rows, numbers = nothing_known(config), measurements(config), numbers_of(Turning(), config)
+    with jax.enable_x64(True), pytest.raises(sj.SonarjaxError, match="JAX_ENABLE_X64: expected it off"):
+        run_filter(start, rows, numbers)
 
 
 def test_weights_are_probabilities_and_covariances_stay_positive(rng):
