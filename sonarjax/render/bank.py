@@ -38,6 +38,7 @@ ROW_STEP = 32  # rows of a window are rounded up to multiples of this: a finer s
 VIEWS, FEW_VIEWS = 18, 9  # templates that one call of the compiled function renders: half or a quarter of most banks
 VMAPPED = 36  # the same on an accelerator, where they are rendered at once
 ROUGH = 16  # with this many times more sharp edges than slabs may end at, few slabs would end at the right ones
+BACKGROUND = 0.5  # semantic value of what the object neither covers nor hides
 TOUCHED = 0.01  # a pixel belongs to the object when its semantic value is this far from the background's
 
 
@@ -99,7 +100,7 @@ def template_bank(
         roll: Roll [rad], one number or one for each yaw (yaw,).
         pitch: Pitch [rad], one number or one for each yaw (yaw,).
         quality: How finely to render.
-        margin: Range bins and beams (0 or more) around what the object touches at any yaw.
+        margin: Range bins and beams (0 or more) around what the object touches at any yaw, as far as the frame goes.
         size: Size of the window to render. Banks at several places share compiled code if they share it. It must hold
             the object at this place (`WindowSize.holds`). None plans it for this place.
         engine: Runs the compiled functions.
@@ -129,14 +130,12 @@ def template_bank(
     place = np.float32(x), np.float32(y)
     views = _all_views(room, sonar, attitudes, place, size, quality, engine)
     images, (row, column) = views.images, views.corner
-    box = _touched_box(images)
-    if box is None:
+    touched = _touched_box(images)
+    if touched is None:
         raise OutOfViewError(f"template bank: an object at x {x:.2f} m, y {y:.2f} m is outside the sonar's view")
-    first, last = box
-    top, left = max(first[0] - margin[0], 0), max(first[1] - margin[1], 0)
-    bottom, right = min(last[0] + margin[0], size.shape[0] - 1), min(last[1] + margin[1], size.shape[1] - 1)
-    crop = images[:, top : bottom + 1, left : right + 1]
-    offset = np.array([row + top, column + left], np.int32)
+    box = _within_frame(touched, (row, column), margin, sonar)
+    crop = _cropped(images, (row, column), box)
+    offset = np.array([rows_or_columns.start for rows_or_columns in box], np.int32)
     # `device_put` compiles nothing; `jnp.asarray` would compile a copy for every shape.
     return TemplateBank(*(jax.device_put(v) for v in (crop, yaws, offset, *place, np.float32(sonar.tilt))))
 
@@ -234,11 +233,35 @@ def _render_views(
 
 
 def _touched_box(images: np.ndarray) -> tuple[tuple[int, int], tuple[int, int]] | None:
-    touched = (images.max(axis=0) - 0.5 > TOUCHED) | (0.5 - images.min(axis=0) > TOUCHED)
+    touched = (images.max(axis=0) - BACKGROUND > TOUCHED) | (BACKGROUND - images.min(axis=0) > TOUCHED)
     if not touched.any():
         return None
     rows, columns = np.flatnonzero(touched.any(axis=1)), np.flatnonzero(touched.any(axis=0))
     return (int(rows[0]), int(columns[0])), (int(rows[-1]), int(columns[-1]))
+
+
+def _within_frame(
+    touched: tuple[tuple[int, int], tuple[int, int]], corner: tuple[int, int], margin: tuple[int, int], sonar: Sonar
+) -> tuple[range, range]:
+    """Rows and columns of the frame around the `touched` pixels of a window at `corner`, with a margin."""
+    sides = zip(*touched, corner, margin, sonar.shape, strict=True)
+    rows, columns = (
+        range(max(start + first - more, 0), min(start + last + more + 1, size))
+        for first, last, start, more, size in sides
+    )
+    return rows, columns
+
+
+def _cropped(images: np.ndarray, corner: tuple[int, int], box: tuple[range, range]) -> np.ndarray:
+    """Crop views (yaw, range, beam) of a window at `corner` to a box of the frame. What lies outside the window is
+    background, because a window holds all that the object touches.
+    """
+    inside, missing = [], []
+    for wanted, start, size in zip(box, corner, images.shape[1:], strict=True):
+        first, stop = max(wanted.start, start), min(wanted.stop, start + size)
+        inside.append(slice(first - start, stop - start))
+        missing.append((first - wanted.start, wanted.stop - stop))
+    return np.pad(images[:, *inside], [(0, 0), *missing], constant_values=BACKGROUND)
 
 
 def bank_place(bank: TemplateBank, sonar: Sonar) -> tuple[float, float]:

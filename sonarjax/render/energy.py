@@ -141,7 +141,7 @@ def floor_energy(
     range `edges` (edge,) [m].
 
     Exact in elevation: for a line at distance d from the sonar head, the point at range r is seen acos(d/r) away from
-    the perpendicular.
+    the perpendicular. The incidence is that on the floor, not within the slice: its cosine is height / range.
     """
     a, b = floor_line(azimuth, scene.view)
     distance = 1 / jnp.sqrt(a * a + b * b)
@@ -153,7 +153,7 @@ def floor_energy(
     ratio = jnp.clip(distance / bounds, 0.0, 1.0 - 1e-7)
     angle = jnp.diff(jnp.arccos(ratio), axis=0)
     middle = jnp.maximum((bounds[1:] + bounds[:-1]) / 2, 1e-3)
-    return jnp.maximum(angle, 0.0) * strength(middle, jnp.minimum(distance / middle, 1.0), sonar)
+    return jnp.maximum(angle, 0.0) * strength(middle, jnp.minimum(scene.view.height / middle, 1.0), sonar)
 
 
 def _floor_span(a: Array, b: Array, scene: Scene) -> tuple[Array, Array]:

@@ -9,6 +9,8 @@ from sonarjax.render.spans import Scene, floor_line, interval_range
 from sonarjax.sonar import Sonar
 
 FAR_M = 1e4
+STEEPEST_TAU = 1e3  # no ray is steeper: stands for "no limit" and, as the lower limit, for "nothing"
+PARALLEL = 1e-9  # a side with less slope in tau [1/m] is met at no elevation of the slice
 
 
 def platform_span(azimuth: Float[Array, "*slab"], scene: Scene, sonar: Sonar) -> tuple[Array, Array]:
@@ -31,7 +33,7 @@ def _tau_span(azimuth: Array, a: Array, b: Array, sonar: Sonar) -> tuple[Array, 
     yaw = jnp.asarray(patch.yaw, jnp.float32)
     along, across = (jnp.cos(yaw), jnp.sin(yaw)), (-jnp.sin(yaw), jnp.cos(yaw))
     forward, port = _ground_direction(azimuth, sonar)
-    low, high = jnp.full(a.shape, -1e3), jnp.full(a.shape, 1e3)
+    low, high = jnp.full(a.shape, -STEEPEST_TAU), jnp.full(a.shape, STEEPEST_TAU)
     for axis, side in ((along, patch.length), (across, patch.width)):
         center = axis[0] * patch.x + axis[1] * patch.y
         # Ground position along the axis is (p + q·tau) / s with s = a + b·tau on the floor.
@@ -40,9 +42,12 @@ def _tau_span(azimuth: Array, a: Array, b: Array, sonar: Sonar) -> tuple[Array, 
         for sign in (1.0, -1.0):
             limit = sign * center + jnp.asarray(side, jnp.float32) / 2
             constant, slope = limit * a - sign * p, limit * b - sign * q  # inside where constant + slope·tau ≥ 0
-            bound = -constant / jnp.where(jnp.abs(slope) > 1e-9, slope, 1e-9)
-            low = jnp.where(slope > 0, jnp.maximum(low, bound), low)
-            high = jnp.where(slope < 0, jnp.minimum(high, bound), high)
+            parallel = jnp.abs(slope) <= PARALLEL
+            bound = -constant / jnp.where(parallel, 1.0, slope)
+            low = jnp.where(~parallel & (slope > 0), jnp.maximum(low, bound), low)
+            high = jnp.where(~parallel & (slope < 0), jnp.minimum(high, bound), high)
+            # A side line through the point under the sonar has all of the slice on one side.
+            low = jnp.where(parallel & (constant < 0), STEEPEST_TAU, low)
     horizon = -a / jnp.where(jnp.abs(b) > 1e-9, b, -1e-9)
     return low, jnp.minimum(high, horizon - 1e-4)
 

@@ -18,6 +18,8 @@ MARGIN_BEAMS, MARGIN_BINS = 3, 12  # around what the object touches at any yaw; 
 # Window sizes are rounded up to multiples of these, so that windows of similar size share compiled code.
 ROW_STEP, COLUMN_STEP, OBJECT_STEP = 64, 8, 4
 MIN_SPACING = 1e-4  # least width of a single beam [rad]
+TURNED = 1e-6  # sine of a turn beyond a quarter that is no rounding error
+ROLLED_BEARINGS = 91  # bearings at which a rolled sonar's windows are measured: every 2 degrees
 
 
 @dataclass(frozen=True)
@@ -99,14 +101,31 @@ def _spacing(sonar: Sonar) -> float:
 
 
 def _azimuth_width(mesh: Mesh, sonar: Sonar, ground_range: float, reach: float) -> float:
-    """Width in image azimuth [rad] of a cylinder of radius `reach` [m] around an object straight ahead."""
+    """Width in azimuth [rad] of a window centred on `image_azimuth` that holds a cylinder of radius `reach` [m]."""
+    # Without roll the cylinder is widest straight ahead. With roll it leans aside, at each bearing by another angle.
+    roll = float(sonar.roll)
+    bearings = (np.linspace(-math.pi / 2, math.pi / 2, ROLLED_BEARINGS) if roll else np.zeros(1))[:, None, None]
     around = np.linspace(0, 2 * math.pi, 65)
-    x, y = ground_range + reach * np.cos(around), reach * np.sin(around)
-    tilt, heights = float(sonar.tilt), np.array([[0.0], [max(float(mesh.top), 0.0)]])
-    forward = math.cos(tilt) * x + math.sin(tilt) * (float(sonar.height) - heights)
-    if (forward <= 0).any():
-        return math.pi
-    return 2 * float(np.arctan2(np.abs(y), forward).max())
+    x, y = ground_range * np.cos(bearings), ground_range * np.sin(bearings)
+    heights = np.array([[0.0], [max(float(mesh.top), 0.0)]])
+    rings = _azimuths(x + reach * np.cos(around), y + reach * np.sin(around), heights, sonar, roll)
+    aside = np.abs(rings - _azimuths(x, y, 0.0, sonar, 0.0))  # (bearing, height, point)
+    seen = _in_view(rings, sonar) if roll else np.ones(1, bool)
+    return min(2 * float(aside[seen].max()), math.pi) if seen.any() else math.pi
+
+
+def _azimuths(x: Any, y: Any, z: Any, sonar: Sonar, roll: float) -> np.ndarray:
+    """Azimuth [rad] of ground points in the frame of a sonar tilted, and rolled by `roll` [rad]. On the host."""
+    tilt, below = float(sonar.tilt), float(sonar.height) - z
+    forward = math.cos(tilt) * x + math.sin(tilt) * below
+    upward = math.sin(tilt) * x - math.cos(tilt) * below
+    return np.arctan2(math.cos(roll) * y + math.sin(roll) * upward, forward)
+
+
+def _in_view(azimuth: np.ndarray, sonar: Sonar) -> np.ndarray:
+    """Which cylinders (bearing,) reach into the field of view, given the azimuths (bearing, height, point) of each."""
+    edges = np.asarray(sonar.azimuth_edges)
+    return (azimuth.max(axis=(1, 2)) > edges[0]) & (azimuth.min(axis=(1, 2)) < edges[-1])
 
 
 def _slant_extent(mesh: Mesh, sonar: Sonar, ground_range: float, slack: float) -> tuple[float, float]:
@@ -144,7 +163,7 @@ def place_window(size: WindowSize, mesh: Mesh, sonar: Sonar, x: Any, y: Any, sla
 
 
 def leaning_room(mesh: Mesh, lift: Any, roll: Any, pitch: Any) -> Mesh:
-    """The mesh with the radius and top it has when lifted by `lift` [m] and tilted by `roll` and `pitch` [rad].
+    """The mesh with the radius and top it has when lifted by `lift` [m] and tilted by `roll` and `pitch` [rad] or less.
 
     Windows are sized by radius and top; the vertices stay as they are. For an upright object on the floor both are
     unchanged. Nothing is compiled unless a number is traced.
@@ -156,7 +175,11 @@ def leaning_room(mesh: Mesh, lift: Any, roll: Any, pitch: Any) -> Mesh:
     # Roll and pitch together tilt the vertical of the mesh by arccos(cos roll · cos pitch).
     upright = array.cos(array.clip(roll, 0.0, math.pi / 2)) * array.cos(array.clip(pitch, 0.0, math.pi / 2))
     over = array.sqrt(array.maximum(1 - upright**2, 0.0))
-    arm = array.maximum(array.maximum(top, 0.0), -vertices[..., 2].min(axis=-1))  # the farther end swings aside
+    hanging = -vertices[..., 2].min(axis=-1)
+    arm = array.maximum(array.maximum(top, 0.0), hanging)  # the farther end swings aside
+    # Turned by more than a quarter, what hangs below the origin points upwards.
+    turned = array.maximum(-array.cos(array.clip(roll, 0.0, math.pi)), -array.cos(array.clip(pitch, 0.0, math.pi)))
+    top = array.where(turned > TURNED, array.maximum(top, hanging * turned), top)
     extent = radius + arm * over, top + radius * over + array.maximum(lift, 0.0)
     # `device_put` compiles nothing, unlike `jnp.asarray`.
     wide, high = (v if traced else jax.device_put(np.asarray(v, np.float32)) for v in extent)

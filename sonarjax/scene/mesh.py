@@ -25,7 +25,7 @@ from sonarjax.records import record, static
 from sonarjax.scene.limits import check_coordinates, check_face_count
 from sonarjax.scene.mesh_file import check_mesh_file, reading_problem
 from sonarjax.scene.slicing import has_crossing_triangles, most_crossings, most_front
-from sonarjax.scene.text_mesh import check_complete, source_for_trimesh
+from sonarjax.scene.text_mesh import check_complete, check_polygons, source_for_trimesh
 
 CREASE_ANGLE = math.radians(20.0)  # an edge that bends more is an edge of the body, not of its tessellation
 MAX_EVENTS = 64
@@ -292,6 +292,8 @@ _UNIT_M = {
     "m": 1.0,
     "meters": 1.0,
     "meter": 1.0,
+    "microns": 1e-6,
+    "micron": 1e-6,
     "millimeters": 1e-3,
     "millimeter": 1e-3,
     "mm": 1e-3,
@@ -316,6 +318,7 @@ def _read_surface(path: Path) -> tuple[np.ndarray, np.ndarray, str | None]:
         if not isinstance(surface, trimesh.Trimesh):
             raise SonarjaxError(f"{path}: holds a {type(surface).__name__}, expected a surface of triangles")
         check_complete(path, len(surface.faces))
+        check_polygons(path, surface)
         unit = surface.units if surface.units is not None else getattr(loaded, "units", None)
         return np.asarray(surface.vertices), np.asarray(surface.faces), unit
     except SonarjaxError:

@@ -58,9 +58,15 @@ def reading_problem(path: Path, error: Exception) -> SonarjaxError:
     if isinstance(error, (ImportError, UnicodeError)) and ending in PLAIN:
         return SonarjaxError(f"{path}: cannot be read as a mesh: corrupt, or not {kind} (its text is not UTF-8)")
     if isinstance(error, ImportError):
-        return SonarjaxError(f"{path}: reading {kind} files needs the Python package {error.name}")
+        return SonarjaxError(f"{path}: reading {kind} files needs the Python package {_missing(error)}")
     reason = " ".join(str(error).split())[:160] or type(error).__name__
     return SonarjaxError(f"{path}: cannot be read as a mesh ({reason})")
+
+
+def _missing(error: ImportError) -> str:
+    """Name of the package that could not be imported. trimesh raises some of these errors anew, without their name."""
+    quoted = re.search(r"No module named '([\w.]+)'", str(error))
+    return error.name or (quoted[1] if quoted else f"that it names: {error}")
 
 
 def _check_stl(path: Path, start: bytes, size: int) -> None:

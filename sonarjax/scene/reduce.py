@@ -28,7 +28,8 @@ AGGRESSIVENESS = 3.0
 """Argument `agg` of `fast_simplification`. The default of 7 is faster, but at 5,000 triangles the resulting surface is
 twice as far from the original."""
 FIRST_CUT = 60_000
-"""Meshes of more than twice this number of triangles are first reduced to it, once; the search starts from there."""
+"""Meshes of more than twice this number of triangles are first reduced to it, once; the search starts from there, and
+goes above it only if nothing from there is near enough."""
 SAMPLES = 20_000
 """Number of points on each surface from which the distance to the other surface is measured."""
 NEIGHBOURS = 6
@@ -103,11 +104,27 @@ def reduce_mesh(mesh: Mesh, tolerance: float) -> Reduction:
         raise SonarjaxError("reduce_mesh: expected a mesh without reflectivity: reduce it first, then set it")
     full = real_arrays(mesh)
     before = len(full[1])
-    source = _collapsed(*full, FIRST_CUT) if before > 2 * FIRST_CUT else full
-    surface = _Surface(*full)
-    best, error = full, SurfaceDistance(0.0, 0.0, 0.0)
+    surface, large = _Surface(*full), before > 2 * FIRST_CUT
+    found = _fewest_triangles(_collapsed(*full, FIRST_CUT) if large else full, surface, FEWEST, tolerance)
+    if found is None and large:  # the first cut may have gone too far
+        found = _fewest_triangles(full, surface, FIRST_CUT, tolerance)
+    if found is None:
+        return Reduction(mesh, before, before, tolerance, SurfaceDistance(0.0, 0.0, 0.0))
+    best, error = found
+    return Reduction(Mesh.from_arrays(*best, name="reduced mesh"), before, len(best[1]), tolerance, error)
+
+
+def _fewest_triangles(
+    source: tuple[np.ndarray, np.ndarray], surface: _Surface, fewest: int, tolerance: float
+) -> tuple[tuple[np.ndarray, np.ndarray], SurfaceDistance] | None:
+    """Reduce `source` to as few triangles as the tolerance [m] from `surface` allows, but not below `fewest`.
+
+    Returns:
+        The reduced arrays and their distance from `surface`; None if nothing that was tried is near enough.
+    """
+    best = None
     # The error grows as triangles are removed, so bisect over the logarithm of their number, in steps of STEP.
-    passes, fails = 0, 1 + math.ceil(math.log(max(len(source[1]) / FEWEST, 1.0), STEP))
+    passes, fails = 0, 1 + math.ceil(math.log(max(len(source[1]) / fewest, 1.0), STEP))
     while fails - passes > 1:
         middle = (passes + fails) // 2
         tried = _collapsed(*source, int(len(source[1]) / STEP**middle))
@@ -115,10 +132,8 @@ def reduce_mesh(mesh: Mesh, tolerance: float) -> Reduction:
         if found is None or found.usual > tolerance or found.largest > FARTHEST * tolerance:
             fails = middle
         else:
-            passes, best, error = middle, tried, found
-    if best is full:
-        return Reduction(mesh, before, before, tolerance, error)
-    return Reduction(Mesh.from_arrays(*best, name="reduced mesh"), before, len(best[1]), tolerance, error)
+            passes, best = middle, (tried, found)
+    return best
 
 
 def surface_distance(first: Mesh, second: Mesh) -> SurfaceDistance:

@@ -8,7 +8,7 @@ from functools import reduce
 import numpy as np
 from jaxtyping import Float, Int
 
-INSIDE = 1e-4  # a crossing must lie this share inside both edge and triangle: bodies that only touch do not cross
+INSIDE = 1e-4  # triangles must pass through each other by this share of their size: bodies that only touch do not cross
 PAIRS_AT_ONCE = 1 << 21
 FINE = (
     20_000  # above this many triangles, count by bins, in fewer directions, or on a sample: exact counts take seconds
@@ -92,26 +92,42 @@ def most_front(vertices: Float[np.ndarray, "vertex 3"], faces: Int[np.ndarray, "
 
 
 def has_crossing_triangles(vertices: Float[np.ndarray, "vertex 3"], faces: Int[np.ndarray, "face 3"]) -> bool:
-    """True if an edge of the surface passes through the inside of one of its triangles (Möller and Trumbore, 1997).
+    """True if two triangles of the surface pass through each other (Möller, 1997, J. Graphics Tools 2(2)).
 
-    Bodies that merely touch, such as bricks in a pile, do not cross. Vertices (vertex, 3) are in metres.
+    They do if each has corners on both sides of the other's plane, and if both meet the planes' common line in one
+    stretch. Bodies that merely touch, such as bricks in a pile, do not cross. Vertices (vertex, 3) are in metres.
     """
-    points = vertices.astype(np.float64)
-    edges = np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
-    step = max(1, PAIRS_AT_ONCE // len(faces))
-    a, ab, ac = points[faces[:, 0]], *(points[faces[:, k]] - points[faces[:, 0]] for k in (1, 2))
-    normal = np.cross(ab, ac)
-    for first in range(0, len(edges), step):
-        start, end = (points[edges[first : first + step, k]][:, None] for k in (0, 1))  # (edge, 1, xyz)
-        direction = end - start
-        slope = (direction * normal).sum(-1)  # (edge, face)
-        flat = np.abs(slope) < 1e-9 * np.sqrt((direction**2).sum(-1) * (normal**2).sum(-1))
-        slope = np.where(flat, 1.0, slope)
-        from_corner = start - a
-        along = -(from_corner * normal).sum(-1) / slope
-        turned = np.cross(direction, from_corner)
-        u, v = (turned * ac).sum(-1) / slope, -(turned * ab).sum(-1) / slope
-        inside = (np.minimum(u, v) > INSIDE) & (u + v < 1 - INSIDE) & (along > INSIDE) & (along < 1 - INSIDE)
-        if (inside & ~flat).any():
-            return True
-    return False
+    corners = vertices.astype(np.float64)[faces]  # (face, corner, xyz)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    offsets = (normals * corners[:, 0]).sum(axis=1)
+    sizes = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    straddles = _straddles(corners, sizes, normals, offsets)
+    first, second = np.nonzero(np.triu(straddles & straddles.T))
+    line = np.cross(normals[first], normals[second])
+    line /= np.maximum(np.linalg.norm(line, axis=1, keepdims=True), 1e-30)
+    starts, ends = zip(
+        _stretch(corners[first], normals[second], offsets[second], line),
+        _stretch(corners[second], normals[first], offsets[first], line),
+        strict=True,
+    )
+    shared = np.minimum(*ends) - np.maximum(*starts)
+    return bool((shared > INSIDE * np.minimum(sizes[first], sizes[second])).any())
+
+
+def _straddles(corners: np.ndarray, sizes: np.ndarray, normals: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+    """Whether each triangle has corners on both sides of the plane of each other one (face, face)."""
+    away = np.stack([corners[:, k] @ normals.T for k in range(3)]) - offsets  # (corner, face, other face)
+    return np.minimum(-away.min(axis=0), away.max(axis=0)) > INSIDE * sizes[:, None]
+
+
+def _stretch(
+    corners: np.ndarray, normals: np.ndarray, offsets: np.ndarray, line: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where triangles (pair, corner, 3) meet planes: the two ends (pair,) along the directions `line` (pair, 3)."""
+    away = np.einsum("pcx,px->pc", corners, normals) - offsets[:, None]
+    along = np.einsum("pcx,px->pc", corners, line)
+    next_away, next_along = np.roll(away, -1, axis=1), np.roll(along, -1, axis=1)
+    meets = (away * next_away <= 0) & (away != next_away)  # (pair, edge)
+    at = along + (next_along - along) * away / np.where(meets, away - next_away, 1.0)
+    return np.where(meets, at, np.inf).min(axis=1), np.where(meets, at, -np.inf).max(axis=1)

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import trimesh
 
 from sonarjax.io.errors import SonarjaxError
 
@@ -23,6 +24,8 @@ STL_WORDS = (b"solid", b"endsolid", b"facet")
 """What begins a solid, ends it, and begins a triangle."""
 UNUSUAL_FACE = re.compile(rb"^f(?!(?:[ \t]+[0-9][^\s#]*){3}[ \t\r]*$)[ \t]", re.MULTILINE)
 """A line of an OBJ file whose face is no triangle, has relative numbers, a comment, or goes on in the next line."""
+PLY_FACES = ("vertex_index", "vertex_indices")
+"""What the list of a face's vertices is called in PLY files."""
 INWARD = -0.05
 """Sine of a polygon's turn at a corner below which it counts as turning inward; above it a fan's error is small."""
 
@@ -44,7 +47,7 @@ def source_for_trimesh(path: Path) -> dict[str, Any]:
     if relative:
         lines = list(_absolute(lines))
         faces = [line for line in lines if line.startswith(b"f ")]
-    _check_polygons(path, lines, faces)
+    _check_obj(path, lines, faces)
     return {"file_obj": io.BytesIO(b"\n".join(lines)), "file_type": "obj"} if relative else {"file_obj": path}
 
 
@@ -57,6 +60,15 @@ def check_complete(path: Path, triangles: int) -> None:
     faces = {".obj": _faces_of_obj, ".ply": _faces_of_ply, ".off": _faces_of_off}.get(ending, lambda _: 0)(path)
     if triangles < faces:
         raise SonarjaxError(f"{path}: expected {faces} faces, could read {triangles} triangles: truncated or corrupt")
+
+
+def check_polygons(path: Path, surface: trimesh.Trimesh) -> None:
+    """Raise a SonarjaxError if a PLY or OFF file has a polygon that is not convex; `surface` is what trimesh read."""
+    ending = path.suffix.lower()
+    if ending == ".ply":
+        _check_convex(path, *_polygons_of_ply(surface.metadata["_ply_raw"]))
+    elif ending == ".off" and len(surface.faces) > _faces_of_off(path):
+        _check_convex(path, surface.vertices, _polygons_of_off(path))
 
 
 def _absolute(lines: Sequence[bytes]) -> Iterator[bytes]:
@@ -81,27 +93,58 @@ def _number(corner: bytes) -> int:
     return int(corner.split(b"/", 1)[0])
 
 
-def _check_polygons(path: Path, lines: Sequence[bytes], faces: Sequence[bytes]) -> None:
+def _check_obj(path: Path, lines: Sequence[bytes], faces: Sequence[bytes]) -> None:
     """Raise a SonarjaxError for a face with fewer than three corners, or a polygon that is not convex."""
-    polygons = defaultdict(list)
+    polygons = []
     for face in faces:
         corners = _corners(face)
         if len(corners) < 3:
             raise SonarjaxError(f"{path}: face {_shown(face)}: expected three or more corners: truncated or corrupt")
         if len(corners) > 3:
-            polygons[len(corners)].append(face)
-    if not polygons:
-        return
-    vertices = np.array([line.split()[1:4] for line in lines if line.startswith((b"v ", b"v\t"))], np.float64)
-    for alike in polygons.values():
-        numbers = np.array([[_number(corner) for corner in _corners(face)] for face in alike])
-        if numbers.min() < 1 or numbers.max() > len(vertices):
+            polygons.append([_number(corner) - 1 for corner in corners])
+    if polygons:
+        vertices = np.array([line.split()[1:4] for line in lines if line.startswith((b"v ", b"v\t"))], np.float64)
+        _check_convex(path, vertices, polygons)
+
+
+def _check_convex(path: Path, vertices: np.ndarray, polygons: Sequence[Any]) -> None:
+    """Raise a SonarjaxError if a polygon, given by numbers from 0 of `vertices` (vertex, 3), is not convex."""
+    by_length = defaultdict(list)
+    for polygon in polygons:
+        by_length[len(polygon)].append(polygon)
+    for alike in by_length.values():
+        numbers = np.array(alike)
+        if numbers.min() < 0 or numbers.max() >= len(vertices):
             continue  # `Mesh` reports it
-        inward = np.flatnonzero(_turn_inward(vertices[numbers - 1]))
+        inward = np.flatnonzero(_turn_inward(vertices[numbers]))
         if len(inward):
+            corners = " ".join(str(number) for number in numbers[inward[0]])[:60]
             raise SonarjaxError(
-                f"{path}: face {_shown(alike[inward[0]])}: expected a convex polygon: export the mesh as triangles"
+                f"{path}: face of vertices {corners} (from 0): expected a convex polygon: export the mesh as triangles"
             )
+
+
+def _polygons_of_ply(elements: dict[str, Any]) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Vertices (vertex, 3) and faces of more than three corners among the `elements` that trimesh read from a PLY."""
+    faces, vertices = (elements.get(name, {}).get("data") for name in ("face", "vertex"))
+    if faces is None or vertices is None:
+        return np.zeros((0, 3)), []
+    names = list(faces) if isinstance(faces, dict) else list(faces.dtype.names)
+    lists = faces[next((name for name in names if name in PLY_FACES), names[0])]
+    if lists.dtype.names:  # of a binary file: the count, and as many numbers in each face
+        lists = lists[lists.dtype.names[-1]]
+    triangles = lists.ndim == 2 and lists.shape[1] <= 3
+    polygons = [] if triangles else [face for face in lists if len(face) > 3]
+    return np.column_stack([np.asarray(vertices[axis], np.float64) for axis in "xyz"]), polygons
+
+
+def _polygons_of_off(path: Path) -> list[list[int]]:
+    """Faces of more than three corners of an OFF file that trimesh could read."""
+    text = path.read_text(errors="replace").split("OFF", 1)[1]
+    lines = [line for line in (line.split("#", 1)[0].split() for line in text.splitlines()) if line]
+    vertices, faces = int(lines[0][0]), int(lines[0][1])
+    found = ([int(word) for word in line] for line in lines[1 + vertices : 1 + vertices + faces])
+    return [numbers[1 : numbers[0] + 1] for numbers in found if numbers[0] > 3]
 
 
 def _turn_inward(corners: np.ndarray) -> np.ndarray:

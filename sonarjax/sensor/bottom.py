@@ -1,6 +1,6 @@
 """How bright the bottom is from place to place: ripples, and slow changes over the frame.
 
-All functions give factors (range, beam) for the energy of the floor, with a mean near 1.
+All functions give factors (range, beam) for the energy of the floor, around 1.
 """
 
 from __future__ import annotations
@@ -27,6 +27,10 @@ def ripple_brightness(
     does not change its depth: crests that run along the line of sight tilt the floor only sideways, and so should
     hardly show, but are drawn as deep as those across it.
 
+    The azimuth of a beam stands for the bearing on the floor, which is larger under a tilted sonar. Ripples with crests
+    across the beam axis have the wavelength asked for. With crests along it they are longer on the floor, by a factor
+    of cos(tilt) + sin(tilt)·height/ground range near the axis: 1/cos(tilt) where the beam axis meets the floor.
+
     Args:
         sonar: Gives the height and the beams.
         ranges: Slant ranges (range,) [m].
@@ -47,11 +51,13 @@ def ripple_brightness(
 def slow_brightness(shape: tuple[int, int], std_db: Any, *, key: jax.Array) -> Float[Array, "range beam"]:
     """Draw a brightness that changes slowly over the frame, normal in dB.
 
-    No source: a model of ours for uneven insonification and a bottom of several kinds.
+    No source: a model of ours for uneven insonification and a bottom of several kinds. The median is 1, so
+    the mean of the energy is a little larger: 1.1 at 2 dB.
 
     Args:
         shape: Shape (range, beam) of the image.
-        std_db: Standard deviation of the brightness [dB].
+        std_db: Standard deviation [dB] of the values between which the brightness is interpolated. That of single
+            pixels is 0.5 to 1.4 times as large, depending on where they lie, and 0.9 times over the whole frame.
         key: Source of the random numbers.
 
     Returns:

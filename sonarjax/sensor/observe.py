@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from sonarjax.exact import full_precision
@@ -68,8 +69,9 @@ def observe(
 
     If the frame was rendered with the sonar's own aperture, the vertical pattern ends sharply there. `observe_scene`
     renders beyond it, so that the image fades. Works under `jit` and `vmap` over keys, models, frames and sonars.
-    Differentiable, except that the derivative of the quantisation is defined as 1. Each effect has a published source;
-    their order is ours. The automatic gain, energy divided by a power of its mean, is a model of ours.
+    Differentiable, except that the derivative of the quantisation is defined as 1. Each effect has a published source.
+    No source for their order, which is ours. The automatic gain, energy divided by a power of its mean, is a model of
+    ours.
 
     Args:
         frame: The rendered frame.
@@ -86,6 +88,10 @@ def observe(
     check_kind(frame, SonarFrame, "frame")
     if frame.intensity.ndim != 2:
         raise SonarjaxError(f"frame: expected one frame, got shape {frame.intensity.shape}: use jax.vmap")
+    if bounces is not None:
+        check_kind(bounces, SonarFrame, "bounces")
+        if bounces.intensity.shape != frame.intensity.shape:
+            raise SonarjaxError(f"bounces: expected shape {frame.intensity.shape}, got {bounces.intensity.shape}")
     gains_key, texture_key, speckle_key = _keys(model, key)
     sonar = frame.sonar
     energy = received_energy(frame, model, bounces) * beam_gains(sonar.n_beams, model.beam_gain_std, key=gains_key)
@@ -100,8 +106,12 @@ def observe(
 
 
 def _keys(model: SensorModel, key: jax.Array) -> Array:
-    """Three keys for `observe`. Raises SonarjaxError unless there are a sensor model and one key."""
+    """Three keys for `observe`. Raises SonarjaxError unless there are one sensor model and one key."""
     check_kind(model, SensorModel, "model")
+    for field in fields(model):
+        if np.ndim(getattr(model, field.name)) != 0:  # an array of as many values as beams would pass for their gains
+            shape = np.shape(getattr(model, field.name))
+            raise SonarjaxError(f"model: {field.name}: expected one number, got shape {shape}: use jax.vmap")
     try:
         return jax.random.split(key, 3)
     except (TypeError, ValueError) as error:

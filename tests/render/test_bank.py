@@ -97,6 +97,21 @@ def test_margin_around_the_union_of_all_yaws(bank):
     assert (rows[0], h - 1 - rows[-1], columns[0], w - 1 - columns[-1]) == (12, 12, 3, 3)
 
 
+@pytest.mark.parametrize("margin", [(0, 0), (40, 10), (600, 96)])
+def test_any_margin_around_what_the_object_touches(brick, margin):
+    """However large: what lies beyond the window that was rendered is background, and the frame's edges end it."""
+    image = full(brick, YAWS[0])
+    touched = np.abs(image - 0.5) > 0.01
+    bank = template_bank(brick, SONAR, YAWS[:1], x=X, y=Y, margin=margin)
+    corner, shape = np.asarray(bank.offset), bank.templates.shape[1:]
+    for axis in (0, 1):
+        places = np.flatnonzero(touched.any(1 - axis))
+        first, last = max(places[0] - margin[axis], 0), min(places[-1] + margin[axis], image.shape[axis] - 1)
+        assert (corner[axis], shape[axis]) == (first, last + 1 - first)
+    row, column = corner
+    np.testing.assert_allclose(bank.templates[0], image[row : row + shape[0], column : column + shape[1]], atol=0.011)
+
+
 def test_templates_differ_between_yaws(bank):
     """A brick looks the same after half a turn, and different after a quarter."""
     values = np.asarray(bank.templates)

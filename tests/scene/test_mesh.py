@@ -202,6 +202,25 @@ def test_polygons_are_read_where_a_fan_suits_them(tmp_path):
     refused(tmp_path / "concave.obj", "expected a convex polygon")
 
 
+def test_a_missing_reader_is_named(tmp_path, monkeypatch):
+    """trimesh keeps the error of a failed import, and raises it anew without the module's name."""
+
+    def without_lxml(*_, **__):
+        raise ModuleNotFoundError("No module named 'lxml'")
+
+    monkeypatch.setattr(trimesh, "load", without_lxml)
+    (tmp_path / "box.3mf").write_bytes(b"PK")
+    refused(tmp_path / "box.3mf", "reading 3MF files needs the Python package lxml")
+
+
+def test_microns_are_a_unit_of_3mf(tmp_path, monkeypatch):
+    solid = trimesh.creation.box((1e5, 2e5, 3e5))
+    solid.units = "micron"
+    monkeypatch.setattr(trimesh, "load", lambda *_, **__: solid)
+    (tmp_path / "box.any").write_text("read by the line above")
+    np.testing.assert_allclose(surface(Mesh.load(tmp_path / "box.any")).extents, [0.1, 0.2, 0.3], rtol=1e-5)
+
+
 def test_a_point_cloud_is_no_surface(tmp_path):
     trimesh.PointCloud(np.random.default_rng(0).random((20, 3))).export(tmp_path / "cloud.ply")
     refused(tmp_path / "cloud.ply", "PointCloud, expected a surface")

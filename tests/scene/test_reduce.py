@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from sonarjax import SonarjaxError
-from sonarjax.scene import Mesh, reduce_mesh, surface_distance
+from sonarjax.scene import Mesh, reduce, reduce_mesh, surface_distance
 
 RADIUS = 0.2
 
@@ -31,6 +31,16 @@ def test_fewer_triangles_within_the_tolerance_of_a_ball(ball, reduced):
     assert np.abs(middles - RADIUS).max() <= 0.008 and np.median(np.abs(middles - RADIUS)) <= 0.002
     assert reduced.error.usual <= 0.002 and reduced.error.largest <= 0.008
     assert f"{reduced.before} triangles reduced to {reduced.after}" in str(reduced)
+
+
+def test_a_first_cut_that_goes_too_far_is_taken_back(ball, monkeypatch):
+    """Within 0.35 mm the ball needs more triangles than the first cut leaves."""
+    alone = reduce_mesh(ball, 3.5e-4)
+    monkeypatch.setattr(reduce, "FIRST_CUT", 2000)
+    found = reduce_mesh(ball, 3.5e-4)
+    assert 2000 < alone.after < 0.8 * alone.before
+    assert 2000 < found.after <= 1.1 * alone.after
+    assert found.error.usual <= 3.5e-4
 
 
 def test_the_stated_error_is_that_of_trimesh(ball, reduced):

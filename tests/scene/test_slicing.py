@@ -33,6 +33,37 @@ def test_bodies_cross_or_only_touch(offset, turn, cross):
     assert has_crossing_triangles(*two_boxes(offset, turn)) is cross
 
 
+def plate(tilted, width, aside=0.0):
+    """A plate (0.3 × width m) that leans forwards or backwards by the same slope."""
+    x, y = (-0.15 if tilted else 0.15), width / 2
+    corners = [[x, aside - y, 0.0], [x, aside + y, 0.0], [-x, aside + y, 0.4], [-x, aside - y, 0.4]]
+    return trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False)
+
+
+@pytest.mark.parametrize(("width", "aside"), [(0.6, 0.0), (0.5, 0.02), (0.6, 0.1)])
+def test_plates_in_an_x_cross(width, aside):
+    """Equal plates meet only at edges of their triangles: the side edges, and the diagonals of both."""
+    both = trimesh.util.concatenate([plate(True, 0.6), plate(False, width, aside)])
+    assert has_crossing_triangles(np.asarray(both.vertices), np.asarray(both.faces))
+    apart = trimesh.util.concatenate([plate(True, 0.6), plate(False, width, aside + 1.0)])
+    assert not has_crossing_triangles(np.asarray(apart.vertices), np.asarray(apart.faces))
+
+
+def test_bricks_of_a_turned_pile_only_touch():
+    """In single precision the faces of a pile that lies at an angle are not quite coplanar."""
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        pile = []
+        for level in range(3):
+            brick = trimesh.creation.box((0.19, 0.09, 0.057))
+            brick.apply_transform(rotation_matrix(rng.choice([0.0, np.pi / 2, rng.uniform(0, np.pi)]), (0, 0, 1)))
+            brick.apply_translation((*rng.choice([0.0, 0.03, 0.05], 2), 0.057 * level))
+            pile.append(brick)
+        pile = trimesh.util.concatenate(pile)
+        pile.apply_transform(trimesh.transformations.random_rotation_matrix(rng.random(3)))
+        assert not has_crossing_triangles(np.asarray(pile.vertices, np.float32), np.asarray(pile.faces))
+
+
 def test_random_triangles_cross_where_a_ray_along_an_edge_hits():
     rng = np.random.default_rng(0)
     found = 0

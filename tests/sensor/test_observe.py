@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from sonarjax.io.errors import SonarjaxError
 from sonarjax.render import RenderQuality, SonarFrame, render
 from sonarjax.scene import Pose
 from sonarjax.scene.objects import brick
@@ -19,6 +20,7 @@ from sonarjax.sensor import (
     elevation_gain,
     floor_elevation,
     observe,
+    observe_scene,
     range_middles,
     received_energy,
     with_skirts,
@@ -142,6 +144,26 @@ def test_one_compilation_serves_a_batch_of_devices_and_keys(name: str, key: jax.
     single = look(frame, jax.tree.map(lambda v: v[1], models), key=keys[1])
     assert np.abs(np.asarray(batch[1]) - np.asarray(single)).max() <= 1.01 / 255
     assert len({float(image.mean()) for image in batch}) == 3
+
+
+@pytest.mark.parametrize("name", ["gain", "object_gain", "noise"])
+def test_a_model_of_arrays_is_refused(name: str, key: jax.Array) -> None:
+    """As many values as beams would be taken for those of the beams, without a word."""
+    for count in (1, SONAR.n_beams, 4):
+        model = SensorModel(**{name: jnp.ones(count)})
+        with pytest.raises(SonarjaxError, match=f"model: {name}: expected one number"):
+            observe(FRAME, model, key=key)
+        with pytest.raises(SonarjaxError, match=f"model: {name}: expected one number"):
+            observe_scene(brick(), Pose(x=2.0), SONAR, model, key=key)
+
+
+def test_a_batch_of_models_or_bounces_is_refused(key: jax.Array) -> None:
+    models = jax.vmap(lambda k: SensorModel.draw(key=k))(jax.random.split(key, 3))
+    with pytest.raises(SonarjaxError, match="expected one number, got shape .3,.: use jax.vmap"):
+        observe(FRAME, models, key=key)
+    stacked = jax.tree.map(lambda v: jnp.stack([v, v]), FRAME)
+    with pytest.raises(SonarjaxError, match="bounces: expected shape"):
+        observe(FRAME, SensorModel(), key=key, bounces=stacked)
 
 
 def test_nominal_is_the_default_and_scales() -> None:
