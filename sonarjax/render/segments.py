@@ -39,6 +39,8 @@ class Segments(NamedTuple):
     """Elevation tangents of the lower and the upper end."""
     line: Float[Array, "*batch 2"]
     """(a, b) of s = a + b·tau [1/m]."""
+    across: Float[Array, "*batch"]
+    """Third component [1/m] of the plane's normal (a, across, b): the one to port of the slice."""
     kind: Int[Array, "*batch 2"]
     """What ends the segment: EDGE, TAU_MIN, TAU_MAX, FLOOR or NEAR."""
     edge: Int[Array, "*batch 2"]
@@ -55,6 +57,17 @@ def plane_line(
     Returns:
         (a, b) [1/m].
     """
+    ahead, _, up = plane_normal(corners, azimuth)
+    return ahead, up
+
+
+def plane_normal(
+    corners: Corners, azimuth: Float[Array, "*#batch"]
+) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"], Float[Array, "*batch"]]:
+    """Normal of each triangle's plane along the slice at `azimuth` [rad], to port of it, and upwards [1/m].
+
+    Its length is one over the plane's distance from the sonar head.
+    """
     normal = normal_of(corners)
     offset = normal.dot(corners[0])
     # A plane through the sonar head is seen edge-on and has no line. Its offset is replaced by a small one of the same
@@ -62,8 +75,8 @@ def plane_line(
     floor = 1e-7 * jnp.sqrt(normal.dot(normal) + 1e-14)
     safe = jnp.where(jnp.abs(offset) > floor, offset, jnp.where(offset < 0, -floor, floor))
     gradient = normal / safe
-    a = gradient.turned(azimuth)[0]
-    return a, jnp.broadcast_to(gradient.z, a.shape)
+    ahead, across = gradient.turned(azimuth)
+    return ahead, across, jnp.broadcast_to(gradient.z, ahead.shape)
 
 
 def edge_point(
@@ -99,9 +112,10 @@ def cut(corners: Corners, azimuth: Float[Array, "*#batch"], view: View) -> Segme
     def ascending(a: Array, b: Array) -> Array:
         return jnp.stack([jnp.where(flip, b, a), jnp.where(flip, a, b)], axis=-1)
 
-    line = jnp.stack(plane_line(corners, azimuth), axis=-1)
+    a, across, b = plane_normal(corners, azimuth)
     hit = (crossed[0] | crossed[1]) & kept & (tau0 != tau1)
-    return Segments(ascending(tau0, tau1), line, ascending(kind0, kind1), ascending(*edge), hit)
+    line = jnp.stack([a, b], axis=-1)
+    return Segments(ascending(tau0, tau1), line, across, ascending(kind0, kind1), ascending(*edge), hit)
 
 
 def _clip(first: tuple, second: tuple, azimuth: Array, view: View) -> tuple[tuple, tuple, Array]:

@@ -36,8 +36,8 @@ def render(
     The frame is differentiable in every float of `pose`, `sonar` and the mesh vertices, visibility included, and works
     under `jit`, `vmap`, `grad` and `jacfwd`. For a batch of sonars use `jax.vmap`.
 
-    If a slice crosses more triangles than the mesh has room for, the frame is rendered again with more room. Under a
-    trace this is impossible: the frame's `overflow` then counts the triangles that were left out.
+    If a slice crosses more triangles, or shows more separate parts, than the mesh has room for, the frame is rendered
+    again with more room. Under a trace this is impossible: the frame's `overflow` then counts the room that is missing.
 
     Args:
         mesh: One mesh, stacked meshes, or a sequence of meshes that stand in the same scene.
@@ -105,14 +105,18 @@ def check_sonar_alone(sonar: Sonar) -> None:
 
 
 def with_enough_room(rendered: Callable[[Mesh], Any], mesh: Mesh) -> Any:
-    """Call `rendered(mesh)`, and again with a roomier mesh as long as its result reports an `overflow`.
+    """Call `rendered(mesh)`, and again with a roomier mesh as long as its result reports an `overflow`, and more room
+    helps.
 
     A traced overflow has no value yet, so it is left to the caller.
     """
-    found = rendered(mesh)
-    while not isinstance(found.overflow, jax.core.Tracer) and (missing := int(np.max(np.asarray(found.overflow)))) > 0:
-        mesh = mesh.with_room(mesh.crossings + missing, mesh.front + missing)
-        found = rendered(mesh)
+    found, before = rendered(mesh), 0
+    while not isinstance(found.overflow, jax.core.Tracer):
+        missing = int(np.max(np.asarray(found.overflow)))
+        roomy = mesh.with_room(mesh.crossings + missing, mesh.front + missing)
+        if missing in (0, before) or (roomy.crossings, roomy.front) == (mesh.crossings, mesh.front):
+            break
+        mesh, before, found = roomy, missing, rendered(roomy)
     return found
 
 
@@ -154,6 +158,7 @@ def place_together(meshes: Sequence[Mesh], poses: Pose | Sequence[Pose]) -> tupl
     if len(meshes) != len(poses) or not meshes:
         raise SonarjaxError(f"pose: expected as many poses as meshes, got {len(poses)} and {len(meshes)}")
     starts = [sum(len(m.vertices) for m in meshes[:k]) for k in range(len(meshes))]
+    crossings, front = _room_together(meshes)
     joined = replace(
         meshes[0],
         vertices=jnp.concatenate([p.to_ground(m.vertices) for m, p in zip(meshes, poses, strict=True)]),
@@ -162,10 +167,25 @@ def place_together(meshes: Sequence[Mesh], poses: Pose | Sequence[Pose]) -> tupl
         closed=jnp.stack([m.closed for m in meshes]).all(),
         radius=jnp.stack([m.radius for m in meshes]).max(),
         top=jnp.stack([m.top for m in meshes]).max(),
-        crossings=sum(m.crossings for m in meshes),
-        front=sum(m.front for m in meshes),
+        crossings=crossings,
+        front=front,
         events=sum(min(m.events, len(m.crease)) for m in meshes),
         intersecting=len(meshes) > 1 or meshes[0].intersecting,
         reflectivity=joined_reflectivity(meshes),
     )
     return joined, Pose()
+
+
+def _room_together(meshes: Sequence[Mesh]) -> tuple[int, int]:
+    """Most triangles of several objects that a slice crosses, and most that face the sonar.
+
+    One open surface leaves the joined mesh open, so the rear triangles of closed objects count too, which were not
+    counted for them alone. A slice meets about as many of these as of front ones. Where `closed` is traced it is not
+    known; the overflow then tells what has no room.
+    """
+    traced = any(isinstance(m.closed, jax.core.Tracer) for m in meshes)
+    closed = [] if traced else [bool(m.closed) for m in meshes]
+    if all(closed) or not any(closed):
+        return sum(m.crossings for m in meshes), sum(m.front for m in meshes)
+    crossings = (min(m.crossings * (1 + both), m.n_faces) for m, both in zip(meshes, closed, strict=True))
+    return sum(crossings), sum(m.n_faces for m in meshes)

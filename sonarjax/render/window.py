@@ -32,6 +32,7 @@ from sonarjax.render.spans import (
     find_spans,
     incidence_cosine,
     kept_by_limit,
+    lacking,
     max_items,
     trace_ranges,
 )
@@ -55,7 +56,7 @@ class VisibleProfile(NamedTuple):
     spans: Spans
     """Echo spans and occluded spans."""
     overflow: Int[Array, ""]
-    """How many triangles the fullest slice had no room for."""
+    """How many triangles the fullest slice had no room for, or needs room for to tell its spans apart."""
 
 
 @full_precision
@@ -104,7 +105,7 @@ def find_visible(
             return kept_by_limit(incidence_cosine(intervals, corners_of(fixed, table), azimuth), limit)
 
         kept = jax.lax.cond(limit < 90, limited, lambda: jnp.ones(intervals.winner.shape))
-        items = max_items(mesh.crossings, by_facet is not False, 0 if objects is None else objects.total)
+        items = max_items(mesh.crossings, by_facet is not False, 0 if objects is None else objects.total, mesh.n_faces)
         owner = None
         if objects is not None:
             owner = objects.owner[jnp.take_along_axis(table, jnp.maximum(intervals.winner, 0), axis=1)]
@@ -113,6 +114,7 @@ def find_visible(
     segments = materialised(cut_slabs, azimuth, table)
     intervals = visible_intervals(segments, mesh.intersecting, elevations)
     spans = materialised(spans_of, intervals, segments, table, azimuth)
+    overflow = jnp.maximum(overflow, lacking(spans, mesh.crossings, mesh.n_faces))
     return VisibleProfile(intervals, segments, table, spans, overflow)
 
 
@@ -225,7 +227,8 @@ def _shares(seen: _Seen) -> tuple[Float[Array, "range beam"], Float[Array, "rang
 
 def _echo(seen: _Seen, mesh: Mesh, quality: RenderQuality) -> Float[Array, "range beam"]:
     """Energy (range, beam) that first hits on objects send back (eq. 2)."""
-    ends = all_ends(seen.visible.intervals, seen.visible.segments, seen.visible.table)
+    visible = seen.visible
+    ends = all_ends(visible.intervals, visible.segments, visible.table, mesh.reflectivity)
     energy = object_energy(ends, seen.slabs, seen.scene, seen.sonar, quality.elevations, seen.edges, mesh.reflectivity)
     return per_beam(seen.slabs.weights, energy[:, None])[0]
 
