@@ -36,8 +36,8 @@ def render(
     The frame is differentiable in every float of `pose`, `sonar` and the mesh vertices, visibility included, and works
     under `jit`, `vmap`, `grad` and `jacfwd`. For a batch of sonars use `jax.vmap`.
 
-    If a slice crosses more triangles, or shows more separate parts, than the mesh has room for, the frame is rendered
-    again with more room. Under a trace this is impossible: the frame's `overflow` then counts the room that is missing.
+    If a slice crosses more triangles than the mesh has room for, the frame is rendered again with more room. Under a
+    trace this is impossible: the frame's `overflow` then counts the triangles that were left out.
 
     Args:
         mesh: One mesh, stacked meshes, or a sequence of meshes that stand in the same scene.
@@ -105,18 +105,14 @@ def check_sonar_alone(sonar: Sonar) -> None:
 
 
 def with_enough_room(rendered: Callable[[Mesh], Any], mesh: Mesh) -> Any:
-    """Call `rendered(mesh)`, and again with a roomier mesh as long as its result reports an `overflow`, and more room
-    helps.
+    """Call `rendered(mesh)`, and again with a roomier mesh as long as its result reports an `overflow`.
 
     A traced overflow has no value yet, so it is left to the caller.
     """
-    found, before = rendered(mesh), 0
-    while not isinstance(found.overflow, jax.core.Tracer):
-        missing = int(np.max(np.asarray(found.overflow)))
-        roomy = mesh.with_room(mesh.crossings + missing, mesh.front + missing)
-        if missing in (0, before) or (roomy.crossings, roomy.front) == (mesh.crossings, mesh.front):
-            break
-        mesh, before, found = roomy, missing, rendered(roomy)
+    found = rendered(mesh)
+    while not isinstance(found.overflow, jax.core.Tracer) and (missing := int(np.max(np.asarray(found.overflow)))) > 0:
+        mesh = mesh.with_room(mesh.crossings + missing, mesh.front + missing)
+        found = rendered(mesh)
     return found
 
 

@@ -39,9 +39,7 @@ EMPTY_TAU = 1e-7  # an interval narrower than this counts as empty
 HORIZON = 1e-4  # least 1/planar range [1/m]: farther surfaces are put at 10 km
 FEW_FACETS = 8  # facets that a slice of any body may tell apart: piles of three bricks seldom show more
 MOST_ITEMS = 12  # most spans of a kind that a slice keeps, where spans are not told apart by object
-MOST_ALL = 4 * MOST_ITEMS  # the same where a slice has room for every triangle of the mesh: for nets and ladders
-TRIANGLES = 4  # of a slice for each occluded span that it keeps
-SMALL = 4096  # meshes of up to so many triangles may get room for all of them in a slice
+FEW_FACES = 48  # triangles of a mesh of which every two may be a thin strip with a gap to the next
 BLOCK = 32  # longest axis that XLA reduces in one plain loop
 LONGEST_PRODUCT = 128  # intervals up to which a product of matrices counts faster than `cumsum`
 SMOOTH_COSINE = math.cos(CREASE_ANGLE)  # a sharper bend is an edge of the body
@@ -83,8 +81,6 @@ class Spans(NamedTuple):
     """Elevation [rad] that each echo span fills: its share of the energy sent out. Carries no gradient."""
     kept: Float[Array, "slab echo_span"]
     """Share of its echo that the incidence limit leaves. Its only gradient is that by the limit."""
-    joined: Int[Array, "slab"]
-    """How many spans of a kind a slab had no room for. They are joined to the last, over the gaps between them."""
 
     @property
     def on_object(self) -> Bool[Array, "end"]:
@@ -97,22 +93,12 @@ def max_items(crossings: int, by_facet: bool = False, objects: int = 0, faces: i
 
     The estimate allows three triangles to an echo span and four to an occluded span. `by_facet` allows two triangles to
     an echo span, and one to each of the first `FEW_FACETS`. Where spans are told apart by object, each of the `objects`
-    may add one more. Where a slice may cross all `faces` of a mesh, each may be a span: thin strips, rungs of a ladder.
+    may add one more. Where a slice may cross all of a mesh's few `faces`, every two may be a strip: rungs of a ladder.
     """
-    if faces is not None and crossings >= faces:
-        return (max(2, min(crossings, MOST_ALL)) + objects,) * 2
     echo_spans = min(crossings, max(FEW_FACETS, crossings // 2)) if by_facet else crossings // 3
-    occluded_spans = crossings // TRIANGLES
-    return max(2, min(echo_spans, MOST_ITEMS)) + objects, max(2, min(occluded_spans, MOST_ITEMS)) + objects
-
-
-def lacking(spans: Spans, crossings: int, faces: int) -> Int[Array, ""]:
-    """How many more triangles a slice must have room for, so that `max_items` has room for its spans; 0 if it has."""
-    joined = spans.joined.max()
-    wanted = TRIANGLES * jnp.where(joined > 0, max(2, crossings // TRIANGLES) + joined, 0)
-    if faces <= SMALL:  # beyond `MOST_ITEMS` spans, only room for all triangles helps
-        wanted = jnp.where(wanted > TRIANGLES * MOST_ITEMS, jnp.maximum(wanted, faces), wanted)
-    return jnp.maximum(wanted - crossings, joined)
+    strips = faces // 2 if faces is not None and faces <= min(crossings, FEW_FACES) else 0
+    least = max(2, strips)
+    return max(least, min(echo_spans, MOST_ITEMS)) + objects, max(least, min(crossings // 4, MOST_ITEMS)) + objects
 
 
 def interval_range(line: Float[Array, "*#batch 2"], tau: Float[Array, "*#batch"]) -> Float[Array, "*batch"]:
@@ -140,8 +126,7 @@ def find_spans(
         kept: Share of the echo of each interval (slab, interval) that the incidence limit leaves, see `kept_by_limit`.
         items: Number of echo spans and of occluded spans to keep, see `max_items`.
         sampled: Whether the intervals were sampled. Then intervals may be missing between neighbours, and a step in
-            range that the slopes of the two explain is not a gap. `Spans.joined` then counts no echo spans: a rough
-            body has very many, and they are no longer than the samples tell.
+            range that the slopes of the two explain is not a gap.
         by_facet: Whether an echo span also ends where the surface bends sharply, or fades by a quarter about the
             incidence limit. Each echo span is then about equally bright all over, and there are also those of facets
             beyond the limit that have some echo left.
@@ -161,8 +146,8 @@ def find_spans(
         even = ((normal * before).sum(-1) > SMOOTH_COSINE) & (band == _previous(band))
         goes_on &= even | ~jnp.asarray(by_facet)
     same_object = jnp.asarray(True) if owner is None else owner == _previous(owner)
-    echo_span, echoes_joined = _chain(shown, shown & ~(goes_on & same_object), items[0])
-    occluded_span, joined = _chain(solid, solid & ~(_previous(solid) & same_object), items[1])
+    echo_span = _chain(shown, shown & ~(goes_on & same_object), items[0])
+    occluded_span = _chain(solid, solid & ~(_previous(solid) & same_object), items[1])
     perpendicular_tau = line[..., 1] / jnp.maximum(line[..., 0], 1e-9)
     at_perpendicular = (perpendicular_tau > intervals.tau[..., 0]) & (perpendicular_tau < intervals.tau[..., 1])
     perpendicular_range = jnp.where(at_perpendicular, jax.lax.rsqrt((line**2).sum(-1) + 1e-12), jnp.inf)
@@ -193,7 +178,6 @@ def find_spans(
         occluded_spans,
         total,
         jnp.where(total > 0, left / jnp.where(total > 0, total, 1.0), 1.0),
-        joined if sampled else jnp.maximum(joined, echoes_joined),
     )
 
 
@@ -211,11 +195,10 @@ def _previous(values: Array) -> Array:
     return jnp.pad(values[:, :-1], ((0, 0), (1, 0)))
 
 
-def _chain(member: Bool[Array, "slab interval"], starts: Bool[Array, "slab interval"], items: int) -> tuple[Array, ...]:
-    """Which chain (slab, interval, item) each interval belongs to, from the lowest up, and how many have no item."""
-    count = _running_count(starts)
-    number = jnp.minimum(count - 1, items - 1)
-    return member[..., None] & (number[..., None] == jnp.arange(items)), jnp.maximum(count[:, -1] - items, 0)
+def _chain(member: Bool[Array, "slab interval"], starts: Bool[Array, "slab interval"], items: int) -> Array:
+    """Which chain each interval belongs to (slab, interval, item); chains are numbered from the lowest elevation."""
+    number = jnp.minimum(_running_count(starts) - 1, items - 1)
+    return member[..., None] & (number[..., None] == jnp.arange(items))
 
 
 @full_precision
@@ -272,13 +255,13 @@ def _ends(
 
 def all_ends(
     intervals: VisibleIntervals, segments: Segments, table: Int[Array, "slab candidate"],
-    reflectivity: Float[Array, "face"] | None = None,
+    reflectivity: Float[Array, "face"] | None, lambert: Float[Array, ""] | float,
 ) -> Ends:  # fmt: skip
     """The ends (slab, 2 × interval) of every visible interval, all lower ends first, for the energy integral.
 
     Where a smooth surface continues across an edge of its tessellation, the end stays at its elevation. Both sides show
-    the same ranges there and send as much back, and such an edge may sweep over the whole surface within one slab. An
-    edge between triangles of different `reflectivity` (face,) is none of these.
+    the same ranges there and send as much back, and such an edge may sweep over the whole surface within one slab. This
+    does not hold between different `reflectivity` (face,), nor at upright edges if `lambert` is above 0.
     """
     interval = jnp.broadcast_to(jnp.arange(intervals.winner.shape[1]), intervals.winner.shape)
     solid = (intervals.winner >= 0) & (intervals.tau[..., 1] - intervals.tau[..., 0] > EMPTY_TAU)
@@ -286,17 +269,19 @@ def all_ends(
     interval, solid = jnp.tile(interval, 2), jnp.tile(solid, 2)
     ends = _ends(intervals, segments, table, interval, upper, solid, jnp.zeros_like(upper))
     paint = None if reflectivity is None else reflectivity[jnp.maximum(table, 0)]
-    smooth = jnp.concatenate(_smooth_sides(intervals, segments, paint), axis=1)
+    across = jnp.where(jnp.asarray(lambert) > 0, segments.across, 0.0)
+    smooth = jnp.concatenate(_smooth_sides(intervals, segments, across, paint), axis=1)
     return ends._replace(kind=jnp.where(smooth, FIXED, ends.kind))
 
 
 def _smooth_sides(
-    intervals: VisibleIntervals, segments: Segments, paint: Float[Array, "slab candidate"] | None
-) -> tuple[Bool[Array, "slab interval"], Bool[Array, "slab interval"]]:
+    intervals: VisibleIntervals, segments: Segments, across: Float[Array, "slab candidate"],
+    paint: Float[Array, "slab candidate"] | None,
+) -> tuple[Bool[Array, "slab interval"], Bool[Array, "slab interval"]]:  # fmt: skip
     """Whether each interval's surface continues smoothly below it, and above it: no step in range and no sharp edge,
     nor one between two kinds of `paint` (reflectivity).
 
-    The bend is that in space: a slice shows none at an upright edge, where the angles of incidence differ.
+    With the normals' components `across` the slice the bend is that in space, without them that within the slice.
     Intervals between segments that merely touch are skipped: which of the two surfaces they show is chance.
     """
     count = intervals.winner.shape[1]
@@ -307,7 +292,7 @@ def _smooth_sides(
     line = _of_candidate(segments.line, intervals.winner)
     start, end = (interval_range(line, intervals.tau[..., k]) for k in (0, 1))
     place, winner = jnp.maximum(before, 0), jnp.maximum(intervals.winner, 0)
-    normal = _unit_normal(jnp.concatenate([line, jnp.take_along_axis(segments.across, winner, axis=1)[..., None]], -1))
+    normal = _unit_normal(jnp.concatenate([line, jnp.take_along_axis(across, winner, axis=1)[..., None]], -1))
     alike = (normal * jnp.take_along_axis(normal, place[..., None], axis=1)).sum(-1) > SMOOTH_COSINE
     if paint is not None:
         own = jnp.take_along_axis(paint, winner, axis=1)

@@ -32,7 +32,6 @@ from sonarjax.render.spans import (
     find_spans,
     incidence_cosine,
     kept_by_limit,
-    lacking,
     max_items,
     trace_ranges,
 )
@@ -56,7 +55,7 @@ class VisibleProfile(NamedTuple):
     spans: Spans
     """Echo spans and occluded spans."""
     overflow: Int[Array, ""]
-    """How many triangles the fullest slice had no room for, or needs room for to tell its spans apart."""
+    """How many triangles the fullest slice had no room for."""
 
 
 @full_precision
@@ -114,7 +113,6 @@ def find_visible(
     segments = materialised(cut_slabs, azimuth, table)
     intervals = visible_intervals(segments, mesh.intersecting, elevations)
     spans = materialised(spans_of, intervals, segments, table, azimuth)
-    overflow = jnp.maximum(overflow, lacking(spans, mesh.crossings, mesh.n_faces))
     return VisibleProfile(intervals, segments, table, spans, overflow)
 
 
@@ -228,7 +226,7 @@ def _shares(seen: _Seen) -> tuple[Float[Array, "range beam"], Float[Array, "rang
 def _echo(seen: _Seen, mesh: Mesh, quality: RenderQuality) -> Float[Array, "range beam"]:
     """Energy (range, beam) that first hits on objects send back (eq. 2)."""
     visible = seen.visible
-    ends = all_ends(visible.intervals, visible.segments, visible.table, mesh.reflectivity)
+    ends = all_ends(visible.intervals, visible.segments, visible.table, mesh.reflectivity, seen.sonar.lambert)
     energy = object_energy(ends, seen.slabs, seen.scene, seen.sonar, quality.elevations, seen.edges, mesh.reflectivity)
     return per_beam(seen.slabs.weights, energy[:, None])[0]
 

@@ -74,3 +74,20 @@ def test_a_closed_object_beside_an_open_one_has_room():
         ours, theirs = (np.asarray(getattr(frame, name)) for frame in (together, alone))
         assert theirs.max() > 0.9
         np.testing.assert_allclose(ours.sum(), theirs.sum(), rtol=0.01)
+
+
+# ---------------------------------------------------------------- thin surfaces with gaps
+
+
+@pytest.mark.parametrize("rungs", [3, 6, 12])
+def test_the_gaps_of_a_ladder_are_lit(rungs):
+    """The shadow of upright strips above each other is the union of the shadows of single ones."""
+    strips = [STRIP + [0, 0, 0.02 + 0.06 * k] for k in range(rungs)]
+    corners = np.array([[0, 1, 2], [0, 2, 3]])
+    ladder = sj.Mesh.from_arrays(np.concatenate(strips), np.concatenate([corners + 4 * k for k in range(rungs)]))
+    pose = sj.Pose(2.0)
+    alone = [sj.render(sj.Mesh.from_arrays(strip, corners), pose, LADDER, quality=QUALITY).shadow for strip in strips]
+    together = sj.render(ladder, pose, LADDER, quality=QUALITY).shadow
+    union = np.max(np.asarray(alone), axis=0)
+    assert (union[:, 4] < 0.1).any() and (union[:, 4] > 0.9).any()
+    assert (np.abs(np.asarray(together) - union) < 0.3).all()
