@@ -16,12 +16,12 @@ from jaxtyping import Array, Bool, Complex, Float
 
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.records import record, static
+from sonarjax.render.frame import BACKGROUND
 
 CHUNK_BYTES = {"cpu": 5 << 19, "gpu": 1 << 28, "tpu": 1 << 28}
 """Size of the spectra that are processed at once [bytes]: about the second-level caches of two cores, or enough
 for an accelerator.
 """
-BACKGROUND = 0.5  # grey of a semantic map's background; highlight is brighter
 CONSTANT_TEMPLATE = 1e-10
 """A template whose variance is below this share of its mean square counts as constant and scores 0."""
 ROUNDING = 8 * float(jnp.finfo(jnp.float32).eps)

@@ -22,6 +22,7 @@ from sonarjax.exact import full_precision
 from sonarjax.records import record, static
 from sonarjax.refine.free import ON_FLOOR, pose_at
 from sonarjax.render import RenderQuality, Window, semantic_image
+from sonarjax.render.frame import BACKGROUND
 from sonarjax.scene import Mesh, Pose
 from sonarjax.sensor import EchoLaw, SensorModel, render_paths, stored_echo
 from sonarjax.sensor.echoes import FLOOR_PATHS
@@ -35,7 +36,6 @@ BOUNCE_BOUNDS: dict[str, tuple[float, float]] = {"semantic": (0.0, 0.0), "echo":
 """Bounds of each energy left after bouncing on the floor [1], which is fitted together with yaw, x and y."""
 POSE = len(ON_FLOOR)
 """How many numbers of the usual step move the object: yaw, x and y. The bounces' energies follow them."""
-BACKGROUND = 0.5  # grey of the semantic map's background
 GAINS_DB, NOISES, EXPONENTS = (2.0, 8.0, 14.0), (0.03, 0.2), (0.06, 0.25, 0.5)
 """Gains [dB], noises and exponents of the echo law, tried in all combinations."""
 

@@ -16,7 +16,7 @@ from sonarjax.io.errors import OutOfViewError, SonarjaxError
 from sonarjax.io.given import check_kind, is_number, is_whole, number_array, shown
 from sonarjax.records import record
 from sonarjax.render.fits import check_single
-from sonarjax.render.frame import RenderQuality
+from sonarjax.render.frame import BACKGROUND, RenderQuality
 from sonarjax.render.region import (
     MARGIN_BEAMS,
     MARGIN_BINS,
@@ -38,7 +38,6 @@ ROW_STEP = 32  # rows of a window are rounded up to multiples of this: a finer s
 VIEWS, FEW_VIEWS = 18, 9  # templates that one call of the compiled function renders: half or a quarter of most banks
 VMAPPED = 36  # the same on an accelerator, where they are rendered at once
 ROUGH = 16  # with this many times more sharp edges than slabs may end at, few slabs would end at the right ones
-BACKGROUND = 0.5  # semantic value of what the object neither covers nor hides
 TOUCHED = 0.01  # a pixel belongs to the object when its semantic value is this far from the background's
 
 

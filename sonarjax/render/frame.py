@@ -11,6 +11,9 @@ from sonarjax.io.given import check_whole
 from sonarjax.records import record, static
 from sonarjax.sonar import Sonar
 
+BACKGROUND = 0.5
+"""Grey of a semantic map where the object neither covers nor hides the floor; shadow is 0, highlight 1."""
+
 
 @dataclass(frozen=True)
 class RenderQuality:

@@ -20,6 +20,7 @@ from sonarjax.crops import LEAST, PATCH, TRAINING_FRAME, Box, cut_box, paste_pat
 from sonarjax.exact import check_single_precision
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.given import check_kind, image_array, number_array
+from sonarjax.render.frame import BACKGROUND
 from sonarjax.segment.objects import find_objects
 from sonarjax.segment.weights import GeneratorWeights, segment_patch
 from sonarjax.sonar.image import check_values
@@ -31,7 +32,6 @@ CLOSER = 6
 MARGIN, MARGIN_OF_FRAME = 0.15, 0.015
 """Margin on each side of a closer look: `MARGIN` times the object's extent plus `MARGIN_OF_FRAME` times the frame's.
 This is a quarter of the largest margin of a training crop (see `data.crops`)."""
-BACKGROUND = 0.5
 
 
 class _Seen(NamedTuple):

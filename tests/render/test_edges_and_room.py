@@ -1,4 +1,4 @@
-"""Gradients of energy at upright edges, and room for scenes of closed and open surfaces."""
+"""Gradients of energy at upright edges and painted facets; room for mixed scenes, and for thin strips with gaps."""
 
 import math
 from dataclasses import replace
@@ -26,7 +26,7 @@ BRICK = objects.brick()
 NEAR = sj.Sonar.preset(
     "didson-hf", tilt=TILT, azimuth=np.radians(np.linspace(-6, 6, 32)), range_min=1.8, range_max=3.0, n_ranges=64
 )
-EVEN = np.ones(BRICK.n_faces, np.float32)
+EVEN, PAINTED = np.ones(BRICK.n_faces, np.float32), np.where(np.arange(BRICK.n_faces) % 2, 0.3, 1.0)
 
 
 @jax.jit
@@ -47,8 +47,10 @@ def object_energy(y, lean, lambert, reflectivity):
         (1.0, 1.0, EVEN, (0.02, 0.03, 0.06)),  # -64 to -68 with edges that stay where they are, -4.5 to -5.6 without
         (0.0, 1.0, EVEN, (0.02, 0.05)),
         (1.0, 0.0, EVEN, (0.02, 0.04)),
+        (1.0, 0.0, PAINTED, (0.0, 0.03)),  # -616 and -521 without the paint
+        (1.0, 1.0, PAINTED, (0.0, 0.03)),
     ],
-    ids=["leaning", "upright", "no cosine"],
+    ids=["leaning", "upright", "no cosine", "painted", "painted, cosine"],
 )
 def test_energy_moves_with_upright_edges(lean, lambert, reflectivity, sideways):
     """Central differences. Where a slice meets an edge lengthwise it shows no bend, but both faces differ in energy."""
