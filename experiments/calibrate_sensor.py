@@ -108,7 +108,7 @@ def run(settings: Settings, job: Job) -> Report:
     key = jax.random.key(VALIDATION_SEED + job.seed)
     drawn = TILTS_DEG[int(jax.random.randint(jax.random.fold_in(key, 10**6), (), 0, len(TILTS_DEG)))]
     sets = {f"{tilt:g}°": (number, tilt) for number, tilt in enumerate(TILTS_DEG)}
-    sets[f"{drawn:g}° (drawn)"] = (len(TILTS_DEG), drawn)
+    sets["drawn"] = (len(TILTS_DEG), drawn)
 
     def part(case: tuple[int, float]) -> dict[str, list[float]]:
         found, picture = measure(case[1], settings, key=jax.random.fold_in(key, case[0]))
@@ -117,7 +117,11 @@ def run(settings: Settings, job: Job) -> Report:
 
     found = job.map(part, sets, "sets")
     whole = {name: [v for values in found.values() for v in values[name]] for name in (*COLUMNS, "right_bin")}
-    rows = [{"set": name} | _summary(values) for name, values in (found | {"all": whole}).items()]
+    tilts = {name: tilt for name, (_, tilt) in sets.items()}
+    rows = [
+        {"set": name, "tilt_deg": tilts.get(name)} | _summary(values)
+        for name, values in (found | {"all": whole}).items()
+    ]
     return {"rows": rows, "correlations": found}
 
 
@@ -131,10 +135,11 @@ def table(report: Report) -> str:
     """The sets, their mean and the paper's Table 4: means, and ranges in parentheses."""
     own, wrong = np.diag(TABLE_4), off_diagonal(TABLE_4).max()
     rows = [
-        [row["set"], *(_range(*row[name]) for name in COLUMNS), f"{row['right_bin']:.2f}"] for row in report["rows"]
+        [row["set"], row["tilt_deg"], *(_range(*row[name]) for name in COLUMNS), f"{row['right_bin']:.2f}"]
+        for row in report["rows"]
     ]
-    paper = ["paper, Table 4", _range(own.mean(), own.min(), own.max()), f"at most {wrong:.3f}", None, None, None]
-    return markdown(("set", *COLUMNS.values(), "own bin is best"), [*rows, paper])
+    paper = ["paper, Table 4", None, _range(own.mean(), own.min(), own.max()), f"at most {wrong:.3f}", None, None, None]
+    return markdown(("set", "tilt [°]", *COLUMNS.values(), "own bin is best"), [*rows, paper])
 
 
 def _range(mean: float, least: float, largest: float) -> str:

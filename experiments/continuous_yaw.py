@@ -134,6 +134,7 @@ def _summary(errors: np.ndarray) -> dict[str, float]:
 
 def calibration(segmenter: str, error_deg: np.ndarray, std_deg: np.ndarray) -> dict[str, Any]:
     """How errors (frame,) [deg] compare with their standard deviations, where the right hypothesis was refined."""
+    std_deg = np.nan_to_num(std_deg, nan=math.inf)  # JSON has no infinity
     z = np.abs(error_deg) / std_deg
     near = np.abs(error_deg) <= ASTRAY_DEG
     return {

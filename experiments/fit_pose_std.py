@@ -123,13 +123,14 @@ def _astray(pose: dict[str, Any]) -> bool:
 
 def _numbers(poses: list[dict[str, Any]]) -> Measured:
     """The observable numbers of all poses in one list."""
-    chosen = [np.array(pose["observable"], bool) & np.isfinite(pose["std"]) for pose in poses]
+    stds = [np.array(pose["std"], float) for pose in poses]  # NaN for None, which JSON has for infinity
+    chosen = [np.array(pose["observable"], bool) & np.isfinite(std) for pose, std in zip(poses, stds, strict=True)]
 
     def listed(values: list[Any]) -> np.ndarray:
         return np.concatenate([np.broadcast_to(v, c.shape)[c] for v, c in zip(values, chosen, strict=True)])
 
-    of = {key: listed([pose[key] for pose in poses]) for key in ("std", "angle", "name", "views")}
-    return Measured(error=listed([np.abs(pose["error"]) for pose in poses]), **of)
+    of = {key: listed([pose[key] for pose in poses]) for key in ("angle", "name", "views")}
+    return Measured(std=listed(stds), error=listed([np.abs(pose["error"]) for pose in poses]), **of)
 
 
 def fit_pose_error_bar(values: Measured) -> PoseErrorBar:

@@ -5,7 +5,7 @@ python -m experiments.fit_tracking [--preset smoke] [--help]
 Objects and devices of `experiments.common.validation`, standing, or turning at a rate that changes from frame to frame;
 and a pile that is the same after half a turn, whose two yaws no frame tells apart. What the errors of all frames of a
 standing object share, and what differs, is measured (a one-way analysis of variance). The other settings are chosen one
-after another, twice, so that the belief's density at the true yaw, x and y is largest on average over all frames. What
+after another, twice, so that the belief's density at the true yaw, x and y is largest, on average over sequences. What
 is found stands in `sonarjax.track`'s `TrackConfig`, which this experiment does not change.
 
 Two numbers are set otherwise. Places are taken to be no better than a range bin, as other devices are less regular than

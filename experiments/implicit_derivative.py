@@ -125,7 +125,9 @@ def check_frame(settings: Settings, kind: str, number: int, seed: int) -> dict[s
             np.asarray(solve(jnp.zeros(5).at[k].set(share * step), *given, config=config, window=window)[0])
             for share in SHARES
         ]
-        wanted[:, k] = np.array(SHARES) @ np.stack(ends) / np.square(SHARES).sum()
+        moved = np.stack(ends) - np.asarray(here)
+        moved[:, 0] = (moved[:, 0] + math.pi) % (2 * math.pi) - math.pi  # yaw is in [0, 2 pi)
+        wanted[:, k] = np.array(SHARES) @ moved / np.square(SHARES).sum()
     return {"determined": True, "ours": ours.tolist(), "wanted": wanted.tolist()}
 
 

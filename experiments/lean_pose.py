@@ -110,7 +110,7 @@ def _judged(settings: Settings, seed: int, geometry_known: bool) -> Iterator[Cas
 def _row(name: str, views: str, found: list[dict[str, Any]]) -> dict[str, Any]:
     place, angle = (np.array([one[key] for one in found]) for key in ("cm", "deg"))
     astray = (angle > ASTRAY_DEG) | (place > ASTRAY_CM)
-    share = np.array([one["z"] for one, lost in zip(found, astray, strict=True) if not lost] or [[np.inf]])
+    share = np.array([one["z"] for one, lost in zip(found, astray, strict=True) if not lost] or [[np.inf]], float)
     return {
         "name": name, "views": views, "objects": len(found), "mean_cm": float(place.mean()),
         "median_cm": float(np.median(place)), "mean_deg": float(angle.mean()),

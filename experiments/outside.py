@@ -237,7 +237,7 @@ def _rank_ratio(sets: Sequence[list[list[float]]]) -> float | None:
     """RMS error of the quarter of frames with the largest `yaw_std` over that of the quarter with the smallest."""
     if not sets:
         return None
-    std, error = np.concatenate([np.asarray(one) for one in sets], axis=1)
+    std, error = np.concatenate([np.asarray(one, float) for one in sets], axis=1)
     order, quarter = np.argsort(std), max(len(std) // 4, 1)
     low, high = (np.sqrt(np.mean(error[part] ** 2)) for part in (order[:quarter], order[-quarter:]))
     return float(high / low)

@@ -68,7 +68,8 @@ def run(settings: Settings, job: Job) -> Report:
     if settings.small:
         recipe = replace(recipe, networks=replace(recipe.networks, width=4, discriminator_width=4), **SMALL)
     folder = job.folder / code_digest() / "training"  # never on from other code's checkpoint
-    before, started = len(_epochs(folder)), time.perf_counter()
+    goes_on = (folder / "checkpoints").exists()  # else a finished training is begun anew
+    before, started = len(_epochs(folder)) if goes_on else 0, time.perf_counter()
     result = train_to_the_end(recipe, folder)
     epochs = _epochs(folder)
     images = recipe.epoch_steps * recipe.batch

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from experiments.common.runs import Run
@@ -25,7 +26,7 @@ def draw(run: Run) -> Figure:
     for k in range(count):
         maps = [[GREY_OF[label] for label in row] for row in pairs["labels"][k]]
         for ax, image in zip(axes[:, k], (pairs["image"][k], maps), strict=True):
-            ax.imshow(image, cmap="gray", vmin=0, vmax=1, origin="lower", extent=(size, 0, 0, size))
+            ax.imshow(np.asarray(image)[:, ::-1], cmap="gray", vmin=0, vmax=1, origin="lower")
             ax.spines[:].set_visible(True)
             ax.set(xticks=[], yticks=[])
     axes[0, 0].set_ylabel("image")

@@ -202,10 +202,18 @@ def test_combined_merges_whole_numbers_and_leaves_out_what_a_seed_lacks():
     theirs = {"errors": 5, "frames": 144, "score": 0.5, "rate": 0.25, "right": False, "none": None}
     for pair in ([ours, theirs], [theirs, ours]):
         found = combined(pair, mean)
-        assert found | {"right": True} == {
-            "errors": 2.5, "frames": 144, "score": 0.75, "rate": 0.25, "right": True, "none": None
+        assert found == {
+            "errors": 2.5, "frames": 144, "score": 0.75, "rate": 0.25, "right": False, "none": None
         }  # fmt: skip
-        assert found["right"] is pair[0]["right"]
+
+
+def test_combined_finds_rows_by_their_names():
+    ours = [{"frames": "any", "auc": 0.9}, {"frames": "agree", "auc": 0.8}, {"frames": "symmetric", "auc": 0.5}]
+    theirs = [{"frames": "any", "auc": 0.7}, {"frames": "symmetric", "auc": 0.4}]
+    found = combined([ours, theirs], max)
+    assert found == [{"frames": "any", "auc": 0.9}, {"frames": "symmetric", "auc": 0.5}]
+    twice = [{"frames": "any", "auc": 0.1}, {"frames": "any", "auc": 0.2}]  # no names to tell them by
+    assert combined([twice, twice[::-1]], max) == [{"frames": "any", "auc": 0.2}] * 2
 
 
 # ---------------------------------------------------------------- runs and their parts
@@ -256,6 +264,22 @@ def test_parts_of_other_code_are_forgotten(tmp_path: Path, monkeypatch: pytest.M
     interrupted(tmp_path)
     monkeypatch.setattr(runs, "code_digest", lambda: "another")
     assert resumed(tmp_path)[0] == [0, 1, 2, 3, 4]
+
+
+def test_parts_that_were_measured_with_other_files_are_forgotten(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    weights = tmp_path / "weights.safetensors"
+    settings = {"segmenter": str(weights), "trainings": (), "count": 3}
+    digests = []
+    for content in (b"a", b"a", b"b"):
+        weights.write_bytes(content)
+        digests.append(runs.files_digest(settings))
+    monkeypatch.setenv("SONARJAX_REAL_DATA", str(tmp_path))
+    assert digests[0] == digests[1] and len({*digests, runs.files_digest(settings)}) == 3
+
+    measured = []
+    for digest in ("a", "a", "b"):
+        Job(tmp_path, 0, read=digest).map(lambda name: measured.append(name), ["one"], "parts")
+    assert measured == ["one", "one"]
 
 
 def test_a_finished_job_measures_anew(tmp_path: Path):

@@ -15,12 +15,12 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, fields, is_dataclass
-from itertools import pairwise
+from itertools import pairwise, takewhile
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from experiments.common.frames import VALIDATION_SEED
-from experiments.common.runs import Files, Job, circumstances, run_folder
+from experiments.common.runs import Files, Job, circumstances, files_digest, run_folder
 from experiments.common.share import Work, measured_seeds, shared_parts
 from sonarjax.cluster import connect
 from sonarjax.cpu import tune
@@ -63,7 +63,8 @@ def launch(
             work = Work(_module_name(run), run.__name__, settings.__qualname__, asdict(chosen))
             share = shared_parts(engine, work) if engine and len(common.seeds) == 1 else None
             folders = {seed: run_folder(Path(common.runs), name, asdict(chosen), seed) for seed in common.seeds}
-            jobs = [Job(folder, seed, share and share(seed)) for seed, folder in folders.items()]
+            read = files_digest(asdict(chosen))
+            jobs = [Job(folder, seed, share and share(seed), read) for seed, folder in folders.items()]
             for job, report in zip(jobs, _reports(run, chosen, jobs, facts, engine, work), strict=True):
                 reports.append(report)
                 print(f"\n{table(report)}\n\n{job.folder}: {report['seconds']:.0f} s", flush=True)
@@ -193,21 +194,39 @@ def field_docstrings(settings: type) -> dict[str, str]:
 
 
 def combined(values: Sequence[Any], merge: Callable[[list[float]], Any]) -> Any:
-    """Reports of several seeds as one: numbers merged, all else as in the first. Lists keep the shortest length.
+    """Reports of several seeds as one: numbers merged, `True` only if it is so in all, all else as in the first.
 
-    A number that some seeds lack (None) is merged from the others. What is the same whole number in all stays one.
+    Rows of a table are found by the words before their first number; those that a seed lacks are left out. Other lists
+    keep the shortest length. A number that some seeds lack (None) is merged from the others. What is the same whole
+    number in all stays one.
     """
     first = values[0]
     if isinstance(first, dict):
         return {k: combined([v[k] for v in values], merge) for k in first if all(k in v for v in values)}
     if isinstance(first, list):
-        return [combined(rows, merge) for rows in zip(*values, strict=False)]
+        return [combined(rows, merge) for rows in _side_by_side(values)]
     numbers = [v for v in values if v is not None]
+    if numbers and all(isinstance(v, bool) for v in numbers):
+        return all(numbers)
     if not numbers or any(isinstance(v, bool) or not isinstance(v, int | float) for v in numbers):
         return first
     if all(isinstance(v, int) and v == numbers[0] for v in numbers):
         return numbers[0]
     return merge(numbers)
+
+
+def _side_by_side(lists: Sequence[list[Any]]) -> list[tuple[Any, ...]]:
+    """The same row of each list: by name if rows have names and no two the same, else by place."""
+    named = [{_name_of(row): row for row in rows} for rows in lists]
+    if any(None in rows or len(rows) < len(of) for rows, of in zip(named, lists, strict=True)):
+        return list(zip(*lists, strict=False))
+    return [tuple(rows[name] for rows in named) for name in named[0] if all(name in rows for rows in named)]
+
+
+def _name_of(row: Any) -> tuple[str, ...] | None:
+    """The words with which a row begins; None without."""
+    words = takewhile(lambda value: isinstance(value, str), row.values() if isinstance(row, dict) else ())
+    return tuple(words) or None
 
 
 def mean_and_spread(values: list[float]) -> Any:

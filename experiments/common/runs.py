@@ -1,14 +1,15 @@
 """Results of experiments: runs/<experiment>/<hash of the settings>-s<seed>/results.json, and what was measured so far.
 
 `Job.map` keeps each part of an experiment as soon as it is measured: an interrupted run goes on where it was. The same
-code must go on: parts that other code measured are forgotten. A finished run that is started again measures anew, but
-for the first seeds of several that were interrupted in a later one.
+code must go on with the same files: parts that other code or weights measured are forgotten. A finished run that is
+started again measures anew, but for the first seeds of several that were interrupted in a later one.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import os
 import platform
 import shlex
 import subprocess
@@ -31,6 +32,8 @@ from sonarjax.io.jsonlines import JsonLines, plain
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS, PARTS = "results.json", "parts.jsonl"
+DATA = ("SONARJAX_EXTERNAL_DATA", "SONARJAX_REAL_DATA")
+"""Variables of the environment that name folders of frames."""
 Case = TypeVar("Case")
 Files = dict[str, bytes]
 Share = Callable[[list[str], dict[str, Any]], Iterable[tuple[dict[str, Any], Files]]]
@@ -41,12 +44,13 @@ what was measured before."""
 class Job:
     """One run of an experiment with one seed: its folder, and the parts that it has measured so far."""
 
-    def __init__(self, folder: Path, seed: int, share: Share | None = None) -> None:
+    def __init__(self, folder: Path, seed: int, share: Share | None = None, read: str = "") -> None:
         """Make `folder`, and take up what an interrupted run of the same code left in it.
 
-        With `share`, other processes measure the parts.
+        With `share`, other processes measure the parts. `read` is a digest of the files that the run reads, see
+        `files_digest`: parts that were measured with other files are forgotten too.
         """
-        self.folder, self.seed, self._share = folder, seed, share
+        self.folder, self.seed, self._share, self._read = folder, seed, share, read
         folder.mkdir(parents=True, exist_ok=True)
         self._path = folder / PARTS
         self._done = self._taken_up()
@@ -60,7 +64,7 @@ class Job:
     def finished(self) -> dict[str, Any] | None:
         """The results that the same code left here before; None without."""
         report = load_report(self.folder) if (self.folder / RESULTS).exists() else {}
-        return report if report.get("code") == code_digest() and not self.begun else None
+        return report if self._origin.items() <= report.items() and not self.begun else None
 
     @property
     def key(self) -> jax.Array:
@@ -112,18 +116,23 @@ class Job:
 
     def finish(self, report: Mapping[str, Any]) -> None:
         """Write the results; the parts have served."""
-        write_text(self.folder / RESULTS, json.dumps(plain(report), indent=1) + "\n")
+        write_text(self.folder / RESULTS, json.dumps(plain({**report, "read": self._read}), indent=1) + "\n")
         self._path.unlink(missing_ok=True)
 
     def _taken_up(self) -> dict[str, Any]:
         lines = self._path.read_text(encoding="utf-8").splitlines() if self._path.exists() else []
         records = [record for record in map(_record, lines) if record]
-        if records and records[0].get("code") == code_digest():
+        if records and records[0] == self._origin:
             return {record["part"]: record["value"] for record in records[1:]}
         self._path.unlink(missing_ok=True)
         with JsonLines(self._path) as file:
-            file.write({"code": code_digest()})
+            file.write(self._origin)
         return {}
+
+    @property
+    def _origin(self) -> dict[str, Any]:
+        """What must be the same for parts to be taken up."""
+        return {"code": code_digest(), "read": self._read}
 
 
 def _record(line: str) -> dict[str, Any]:
@@ -260,6 +269,16 @@ def git_hash() -> str | None:
         return git("rev-parse", "--short=10", "HEAD") + ("+" if git("status", "--porcelain", "-uno") else "")
     except (OSError, subprocess.CalledProcessError):
         return None
+
+
+def files_digest(settings: Mapping[str, Any]) -> str:
+    """A digest of what settings only name: the content of files, and the folders of `DATA` in the environment."""
+    digest = hashlib.sha256(repr([os.environ.get(name) for name in DATA]).encode())
+    for value in settings.values():
+        for name in value if isinstance(value, tuple) else (value,):
+            if isinstance(name, str) and name and Path(name).is_file():
+                digest.update(name.encode() + Path(name).read_bytes())
+    return digest.hexdigest()[:12]
 
 
 @cache

@@ -2,9 +2,10 @@
 
 The full form is the recipe `paper-cpu` at a third of its length: width 16, 10 epochs of the 6,780 pairs of §3.1.
 `--recipe paper` takes batches and number type of the recipe for GPUs, `--width 64` also its width. A short form, such
-as `--width 8 --pairs 512 --images 2048`, says what helps early, not where trainings end. All variants see the same
-number of images, and are judged on the same validation pairs. An interrupted training goes on from its checkpoint, and
-one that has ended is kept.
+as `--width 8 --pairs 512 --images 2048`, says what helps early, not where trainings end. All variants see as
+many images as there are full passes for: at full length four times the pairs are seen a fifth less often. All are
+judged on the same validation pairs. An interrupted training goes on from its checkpoint, and one that has ended is
+kept.
 """
 
 from __future__ import annotations

@@ -104,8 +104,9 @@ def write_bag(path: str | os.PathLike[str], frames: Iterable[Frame], topic: str 
 
     Raises:
         SonarjaxError: The folder exists, the path cannot be written or ends in .db3, `rosbags` is not installed, a
-            frame's geometry is not known or does not fit its image, its time cannot be expressed, or a frame has pixels
-            that were not measured. Then nothing is left behind, and what was there before is kept.
+            frame's geometry is not known or does not fit its image, its time cannot be expressed, a frame has pixels
+            that were not measured or are outside [0, 1], or the topic has no name. Then nothing is left behind, and
+            what was there before is kept.
     """
     name, target = os.fspath(path), Path(os.path.realpath(path))  # write what a link points to, and keep the link
     ending = os.path.splitext(name)[1].lower()
@@ -113,6 +114,8 @@ def write_bag(path: str | os.PathLike[str], frames: Iterable[Frame], topic: str 
         raise SonarjaxError(f"{name}: expected a name that ends in .bag or .mcap, or that of a new folder")
     if not isinstance(frames, Iterable):
         raise SonarjaxError(f"frames: expected frames one after another, such as a list, got {shown(frames)}")
+    if not isinstance(topic, str) or not topic.strip("/ "):
+        raise SonarjaxError(f"topic: expected a name such as {TOPIC!r}, got {shown(topic)}")
     if ending not in (".bag", ".mcap") and target.exists():
         raise SonarjaxError(f"{name}: expected a folder that does not exist yet")
     if not target.parent.is_dir():

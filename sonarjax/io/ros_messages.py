@@ -103,7 +103,8 @@ def frame_fields(frame: Frame, time_ns: int) -> SimpleNamespace:
 
     Raises:
         SonarjaxError: The frame's geometry is not known or does not fit the image; a pixel was not measured, which a
-            message cannot express; or the range bins are fewer than two or could not be read back otherwise.
+            message cannot express, or is outside [0, 1]; or the range bins are fewer than two or could not be read back
+            otherwise.
     """
     geometry = frame.geometry or {}
     for key in ("azimuth_deg", "range_min_m", "range_max_m"):
@@ -111,6 +112,8 @@ def frame_fields(frame: Frame, time_ns: int) -> SimpleNamespace:
             raise SonarjaxError(f"{frame.source}: {key}: expected the sonar's geometry, which the frame does not hold")
     if frame.mask is not None and not frame.mask.all():
         raise SonarjaxError(f"{frame.source}: mask: expected a frame without unmeasured pixels")
+    if not ((frame.image >= 0) & (frame.image <= 1)).all():  # also for NaN
+        raise SonarjaxError(f"{frame.source}: image: expected values from 0 to 1")
     azimuth = np.radians(np.asarray(geometry["azimuth_deg"], np.float64))
     n_ranges, n_beams = frame.shape
     if azimuth.shape != (n_beams,):

@@ -300,7 +300,8 @@ class TargetSearch:
         if self.compact and not coarse:
             return _Entry(replace(bank, templates=bank.templates[:, :0, :0]), CompactBank.of(np.asarray(drawn)))
         if not coarse:
-            return _Entry(bank, prepare_bank(drawn, self.sonar.shape, masked=masked))
+            frame = self.sonar.n_ranges, self.sonar.n_beams + 2 * _side(drawn)
+            return _Entry(bank, prepare_bank(drawn, frame, masked=masked))
         return _Entry(bank, coarse_bank(drawn, self.sonar, config.decimation, masked))
 
     def _render(self, index: int, coarse: bool) -> TemplateBank:
@@ -322,6 +323,8 @@ class TargetSearch:
         """The best place for each template of a bank in which something is in view."""
         entry = self._bank(index, coarse, mask is not None, picture)
         assert entry is not None
+        side = 0 if coarse else _side(entry.prepared.templates)
+        image, mask = widened(image, mask, side)
         if isinstance(entry.prepared, CompactBank) and mask is None:
             found = match_compact(image, entry.prepared)
         else:
@@ -330,7 +333,29 @@ class TargetSearch:
         best = int(scores.argmax())
         top, left = (int(v) for v in np.asarray(entry.bank.offset))
         scale = self.config.decimation if coarse else 1
-        return Match(entry.bank, scores, scale * int(row[best]) - top, int(column[best]) - left, entry.prepared)
+        return Match(entry.bank, scores, scale * int(row[best]) - top, int(column[best]) - side - left, entry.prepared)
+
+
+def _side(templates: Any) -> int:
+    """Beams by which a frame is widened on either side for templates (yaw, h, w).
+
+    The templates' box holds the object at every yaw and more, so it leaves the frame where the object does not yet.
+    """
+    return templates.shape[2] // 2
+
+
+def widened(image: np.ndarray, mask: np.ndarray | None, side: int) -> tuple[np.ndarray, np.ndarray | None]:
+    """A frame (range, beam) and its mask with `side` beams more on either side, of the mean grey of what was measured.
+
+    The correlation (eq. 4) of a window that lies within the frame stays the same.
+    """
+    if not side:
+        return image, mask
+    measured = image if mask is None else image[np.asarray(mask, bool)]
+    grey = measured.mean(dtype=np.float64) if measured.size else 0.0
+    sides = (0, 0), (side, side)
+    wide = np.pad(image, sides, constant_values=np.float32(grey))
+    return wide, None if mask is None else np.pad(mask, sides, constant_values=True)
 
 
 def mid_fan(sonar: Sonar, distance: float) -> tuple[float, float]:

@@ -422,6 +422,8 @@ def test_times_of_a_recording_are_kept_in_a_bag(make, saved, tmp_path, ending, k
         ([flat(time_s="noon")], "f: time_s: expected a number from 0 to 2.14748e+09, got 'noon'"),
         ([Frame(np.zeros((3, 5), np.float32), None, "f", "f", GEOMETRY)], "f: azimuth_deg: expected 5 numbers"),
         ([Frame(np.zeros((1, 2), np.float32), None, "f", "f", GEOMETRY)], "f: ranges: expected two or more ascending"),
+        ([Frame(np.full((2, 2), 1.5, np.float32), None, "f", "f", GEOMETRY)], "f: image: expected values from 0 to 1"),
+        ([Frame(np.full((2, 2), np.nan, np.float32), None, "f", "f", GEOMETRY)], "f: image: expected values from 0"),
     ],
 )
 def test_what_cannot_be_put_into_a_message(tmp_path, frames, said):
@@ -443,4 +445,7 @@ def test_a_frame_that_cannot_be_written_leaves_nothing_behind(tmp_path):
         write_bag(tmp_path / "missing" / "folder.bag", [])
     with pytest.raises(SonarjaxError, match="e.db3: expected a name that ends in .bag or .mcap"):
         write_bag(tmp_path / "e.db3", [])
+    for topic in ("", "/", 5):
+        with pytest.raises(SonarjaxError, match="topic: expected a name such as '/sonar_image', got"):
+            write_bag(tmp_path / "f.bag", [flat()], topic)
     assert list(tmp_path.iterdir()) == []
