@@ -136,7 +136,7 @@ class Recognizer:
                 It needs a `threshold`.
             threshold: Replaces the segmenter's own, which comes from validation frames.
             starts: Single poses [m, rad] at which the best target is expected. They are refined beside the hypotheses
-                that matching finds.
+                that matching finds; without refinement they are not used.
 
         Returns:
             What was found: the best target, its score and its yaw [rad].

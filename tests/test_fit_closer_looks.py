@@ -1,10 +1,10 @@
-"""What `fit_closer_looks` counts in a map, against counts by hand."""
+"""What is counted in maps of several objects, against counts by hand."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from experiments.fit_closer_looks import LEAST_PIXELS, _counts
+from experiments.common.several import LEAST_PIXELS, counted
 
 
 def test_objects_are_hit_where_a_fifth_of_their_highlight_is_found() -> None:
@@ -13,4 +13,4 @@ def test_objects_are_hit_where_a_fifth_of_their_highlight_is_found() -> None:
     parts[0:10, 0:10], parts[20:30, 0:10], parts[35, : LEAST_PIXELS - 1] = 1, 2, 3
     found[0:2, 0:10], found[20, 0:10], found[35] = True, True, True
     true, both = 200 + LEAST_PIXELS - 1, 30 + LEAST_PIXELS - 1
-    assert _counts(found, parts) == (both, 30 + 30, true, 1, 2)
+    assert counted(found, parts) == (both, 30 + 30, true, 1, 2)

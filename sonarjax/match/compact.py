@@ -87,5 +87,11 @@ def _match(image: Array, scale: Array, levels: Array, height: Array, width: Arra
     unit = unit_templates(templates, jnp.broadcast_to(inside, templates.shape))
     shape = image.shape[0], image.shape[1]
     frame = frame_spectrum(image)
-    found = over_chunks(lambda planes: best_position(correlate(frame, planes, shape) * scale), pack(unit, shape))
+    corners = jnp.arange(shape[0]) <= shape[0] - height, jnp.arange(shape[1]) <= shape[1] - width
+    fits = corners[0][:, None] & corners[1]
+
+    def best(planes: Array) -> MatchPositions:
+        return best_position(jnp.where(fits, correlate(frame, planes, shape) * scale, -jnp.inf))
+
+    found = over_chunks(best, pack(unit, shape))
     return per_template(found, len(levels))

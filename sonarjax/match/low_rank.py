@@ -19,10 +19,12 @@ from jaxtyping import Array, Float
 
 from sonarjax.exact import full_precision
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.given import image_array
 from sonarjax.match.masked import NEAR_CONSTANT
 from sonarjax.match.ncc import AnyArray, MatchPositions, PreparedBank, correlation_maps, prepare_bank
 from sonarjax.match.spectra import centred_frame, check_shapes, inverse_root, unit_templates
 from sonarjax.records import record
+from sonarjax.sonar.image import check_finite
 
 PASSES, SPARE = 3, 8
 """Number of subspace iterations, and number of extra directions that they use beyond those that are kept."""
@@ -120,11 +122,18 @@ def match_low_rank(image: Float[AnyArray, "range beam"], low_rank: LowRankBank) 
         `col` (template,).
 
     Raises:
-        SonarjaxError: The shapes do not fit.
+        SonarjaxError: The shapes do not fit, or the image is not finite numbers.
     """
-    image = jnp.asarray(image, jnp.float32)
+    image = _numbers(image)
     check_shapes(low_rank.components.templates.shape, image.shape)
     return _match(image, low_rank)
+
+
+def _numbers(image: Any) -> Array:
+    """An image (range, beam) as float32. Raises SonarjaxError unless it is finite numbers."""
+    given = jnp.asarray(image if isinstance(image, jax.Array) else image_array(image, "image"), jnp.float32)
+    check_finite(given, None, "image")
+    return given
 
 
 @jax.jit
@@ -172,9 +181,9 @@ def scores_at(image: Float[AnyArray, "range beam"], bank: Any, places: MatchPosi
         The scores (template,).
 
     Raises:
-        SonarjaxError: The shapes do not fit.
+        SonarjaxError: The shapes do not fit, or the image is not finite numbers.
     """
-    image, templates = jnp.asarray(image, jnp.float32), jnp.asarray(getattr(bank, "templates", bank), jnp.float32)
+    image, templates = _numbers(image), jnp.asarray(getattr(bank, "templates", bank), jnp.float32)
     check_shapes(templates.shape, image.shape)
     if places.row.shape != templates.shape[:1]:
         raise SonarjaxError(f"places: expected one for each of {len(templates)} templates, got {places.row.shape}")

@@ -64,7 +64,9 @@ class SensorModel:
     speckle_beams: Scalar = 0.8
     """Width of the speckle's correlation in azimuth [mean beam spacings]."""
     speckle_bins: Scalar = 0.25
-    """Correlation of speckle intensity between neighbouring range bins [1], 0 to 0.5."""
+    """Correlation of intensity between neighbouring range bins [1], 0 to 0.5, where speckle is fully developed. At a
+    lower contrast neighbours are more alike.
+    """
     floor_bounce: Scalar = 0.3
     """Share of the energy that is left after a bounce on the floor [1]."""
     floor_path: Scalar = 1.0

@@ -100,7 +100,7 @@ def elevation_gain(offset: Float[Array, "*batch"], aperture: Any, skirt: Any) ->
 
 
 def with_skirts(sonar: Sonar) -> Sonar:
-    """Widen the aperture of a sonar by `SKIRT` above and below.
+    """Widen the aperture of a sonar by `SKIRT` above and below, but not past straight down.
 
     `observe_scene` renders the widened sonar before it applies `elevation_gain`: a template ends sharply at the
     aperture, but an image fades out there. No source: a choice of ours.
@@ -111,7 +111,9 @@ def with_skirts(sonar: Sonar) -> Sonar:
     Returns:
         The sonar with the wider aperture.
     """
-    return sonar.replace(elevation_aperture=sonar.elevation_aperture + 2 * SKIRT)
+    aperture = jnp.asarray(sonar.elevation_aperture, jnp.float32)
+    room = jnp.pi - 2 * jnp.asarray(sonar.tilt, jnp.float32)  # beyond it the floor comes nearer again
+    return sonar.replace(elevation_aperture=jnp.minimum(aperture + 2 * SKIRT, jnp.maximum(room, aperture)))
 
 
 def floor_elevation(sonar: Sonar) -> Float[Array, "range beam"]:

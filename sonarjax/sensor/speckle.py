@@ -99,6 +99,8 @@ def correlate(
     rows = field.shape[1]
     # Beams come first. In the other order XLA fuses the drawing of numbers into the product, which is ten times slower.
     mixed = jnp.einsum("prs,bs->prb", field, across)
+    if rows < 3:  # a pixel would be its own neighbour
+        return mixed
     padded = jnp.concatenate([mixed[:, -1:], mixed, mixed[:, :1]], axis=1)  # wraps, so that the ends stay as strong
     return along[0] * padded[:, :rows] + along[1] * mixed + along[2] * padded[:, 2:]
 
@@ -146,9 +148,9 @@ def multi_look(intensity: Float[Array, "range beam"], looks: Any) -> Float[Array
     """Average independent speckles of mean 1, which makes exponential intensity Gamma(L, 1/L) for a whole number L.
 
     The further looks are the same intensity shifted by large parts of the image, which needs no further random numbers;
-    pixels that are one shift apart share a look. For a fractional number the last look has less weight, so that the
-    variance is 1/looks times that of one look (Oliver and Quegan, Understanding Synthetic Aperture Radar Images, 1998,
-    ch. 4).
+    pixels that are one shift apart share a look. (In an image of fewer than 13 pixels along both axes, looks repeat.)
+    For a fractional number the last look has less weight, so that the variance is 1/looks times that of one look
+    (Oliver and Quegan, Understanding Synthetic Aperture Radar Images, 1998, ch. 4).
 
     Args:
         intensity: Intensity (range, beam) of one look.

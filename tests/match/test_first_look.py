@@ -44,6 +44,14 @@ def test_compact_banks_score_as_eq_4_does(size: tuple[int, int], semantic_image:
     assert abs(bank.templates - templates).max() <= 0.5 / 255 + 1e-6
 
 
+def test_a_window_that_does_not_exist_is_not_the_best() -> None:
+    templates = np.random.default_rng(0).uniform(0, 1, (3, 16, 12)).astype(np.float32)
+    image = 1 - templates[0]  # the one window correlates negatively with the first template
+    found, exact = match_compact(image, CompactBank.of(templates)), match_positions(image, templates)
+    np.testing.assert_allclose(found.scores, exact.scores, atol=1e-2)
+    assert found.scores[0] < -0.99 and not np.any(found.row) and not np.any(found.col)
+
+
 def test_a_frame_that_is_constant_up_to_rounding_shows_nothing(look: FirstLook) -> None:
     steps = np.random.default_rng(0).integers(-2, 3, (128, 96)).astype(np.float32)
     image = np.float32(0.5) + steps * np.spacing(np.float32(0.5))

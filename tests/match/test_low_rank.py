@@ -93,3 +93,7 @@ def test_bad_input_is_named(bank: np.ndarray, semantic_image: Callable[..., np.n
     places = match_low_rank(np.zeros(SHAPE), low_rank_bank(bank, SHAPE, 4))
     with pytest.raises(SonarjaxError, match="places: expected one for each of 5 templates"):
         scores_at(np.zeros(SHAPE), bank[:5], places)
+    with pytest.raises(SonarjaxError, match="image: holds NaN or infinite"):
+        match_low_rank(np.full(SHAPE, np.nan), low_rank_bank(bank, SHAPE, 4))
+    with pytest.raises(SonarjaxError, match="image: holds NaN or infinite"):
+        scores_at(np.full(SHAPE, np.inf), bank, places)

@@ -120,6 +120,22 @@ def test_a_coarse_frame_averages_what_was_measured() -> None:
     np.testing.assert_allclose(small[seen], means[seen], rtol=1e-5)
 
 
+@pytest.mark.parametrize("bearing_deg", [-11.0, 11.0])
+@pytest.mark.parametrize(("compact", "masked"), [(False, False), (True, False), (False, True)])
+def test_an_object_near_a_side_of_the_fan_is_found(compact: bool, masked: bool, bearing_deg: float) -> None:
+    """The box of all yaws does not fit between it and the side."""
+    bearing, yaw = math.radians(bearing_deg), math.radians(60.0)
+    x, y = 2.4 * math.cos(bearing), 2.4 * math.sin(bearing)
+    search = TargetSearch(sj.objects.target(), SONAR, SearchConfig(yaw_bins=12), compact=compact)
+    image = np.asarray(sj.render(search.mesh, sj.Pose(x, y, yaw + bearing), SONAR).semantic())
+    mask = np.ones(image.shape, bool)
+    mask[:5] = False
+    match = search.find(np.where(mask, image, np.nan) if masked else image, mask if masked else None)
+    best = match.scores.argmax()
+    assert match.scores[best] > 0.9 and math.degrees(np.asarray(match.bank.yaws)[best]) == pytest.approx(60.0)
+    assert search.place(match) == pytest.approx((x, y), abs=0.03)
+
+
 @pytest.mark.parametrize("compact", [False, True])
 def test_own_scores_are_the_correlations_of_the_best_template(compact: bool) -> None:
     search = TargetSearch(sj.objects.target(), SONAR, SearchConfig(yaw_bins=12), compact=compact)

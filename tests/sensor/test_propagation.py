@@ -24,6 +24,7 @@ from sonarjax.sensor import (
     reference_energy,
     reference_range,
     time_varied_gain,
+    with_skirts,
 )
 from sonarjax.sonar import Sonar
 
@@ -64,6 +65,13 @@ def test_elevation_is_flat_then_steep() -> None:
     assert gain[:2] == pytest.approx([0.0, 0.0], abs=0.02)
     assert gain[2:4] == pytest.approx([-3.01, -3.01], abs=0.01)
     assert gain[5] - gain[4] == pytest.approx(-skirt, abs=0.05)
+
+
+def test_skirts_end_at_straight_down() -> None:
+    """Beyond it the floor comes nearer again, which the renderer does not draw."""
+    for tilt_deg, wanted_deg in ((20.0, 20.0), (80.5, 19.0), (83.0, 14.0)):
+        sonar = Sonar.preset("didson-hf", tilt=math.radians(tilt_deg), elevation_aperture=math.radians(14.0))
+        assert math.degrees(with_skirts(sonar).elevation_aperture) == pytest.approx(wanted_deg, abs=1e-3)
 
 
 @pytest.mark.parametrize("roll", [0.0, -0.2, 0.1])

@@ -47,6 +47,13 @@ def test_amplitude_is_rayleigh_and_intensity_exponential(key: jax.Array) -> None
     assert amplitude.var() / amplitude.mean() ** 2 == pytest.approx(4 / math.pi - 1, rel=0.02)
 
 
+@pytest.mark.parametrize("rows", [1, 2, 3])
+def test_short_frames_have_speckle_of_mean_one(key: jax.Array, rows: int) -> None:
+    field = complex_field((rows, 20_000), key=key)
+    mixed = correlate(field, jnp.eye(20_000), range_kernel(0.25))
+    assert float(speckle_intensity(mixed).mean()) == pytest.approx(1.0, abs=0.03)
+
+
 @pytest.mark.parametrize("diffuse", [0.25, 0.7])
 def test_partly_developed_speckle_is_rice(key: jax.Array, diffuse: float) -> None:
     intensity = np.asarray(speckle_intensity(white(key), diffuse)).ravel()
