@@ -41,7 +41,7 @@ class Settings:
 
     segmenter: str = ""
     """A weights file whose network has three classes; empty for the shipped one."""
-    biases: tuple[float, ...] = (0.0, 0.3, 0.6, 0.9, 1.2)
+    biases: tuple[float, ...] = (0.0, 0.3, 0.6, 0.9)
     """Numbers added to the logit that training has left."""
     sonars: tuple[str, ...] = ("didson-hf", "aris-3000")
     """Sonars, by the names of their presets."""
