@@ -445,7 +445,7 @@ def test_a_frame_that_cannot_be_written_leaves_nothing_behind(tmp_path):
         write_bag(tmp_path / "missing" / "folder.bag", [])
     with pytest.raises(SonarjaxError, match="e.db3: expected a name that ends in .bag or .mcap"):
         write_bag(tmp_path / "e.db3", [])
-    for topic in ("", "/", 5):
+    for topic in ("", "/"):
         with pytest.raises(SonarjaxError, match="topic: expected a name such as '/sonar_image', got"):
             write_bag(tmp_path / "f.bag", [flat()], topic)
     assert list(tmp_path.iterdir()) == []
