@@ -218,6 +218,8 @@ CASES = {
     "network.semantic(im, im[1:] > 0)": "mask: expected the image's shape (64, 16), got (63, 16)",
     "sj.io.write_bag(path + '.bag', Frame(im, None, 'a', 'a'))": "frames: expected frames one after another, such as",
     "sj.io.write_bag(path + '.bag', ['f.npz'])": "frames[0]: expected a Frame, got 'f.npz'",
+    "sj.io.write_bag(path + '.bag', [], topic=5)": "topic: expected a name such as '/sonar_image', got 5",
+    "sj.match.match_low_rank('abc', sj.match.low_rank_bank(np.eye(8)[None], (9, 9), 1))": "image: expected ",
     # Fan pictures
     "to_polar(im[:, :, None], fan)": "fan: picture: expected one grey image of two axes, got shape (64, 16, 1)",
     "to_polar('fan.png', fan)": "fan: picture: expected numbers, got 'fan.png'",
