@@ -5,9 +5,9 @@ python -m experiments.fit_highlight [--segmenter FILE --into FILE] [--preset smo
 A network that was trained by cross-entropy weighs errors of all pixels alike. Objects are few pixels, so on a device
 unlike those of its training it misses much of them and finds little too much. A number added to the logit of a rare
 class mends that (Menon et al., Long-tail learning via logit adjustment, 2021). The frames show one object or several,
-by usual devices and by more unusual ones; none occurs in a test. The number used is the largest of those tried with
-which `fit_decision` tells targets from other objects as well as before. It becomes part of the last layer's bias, and
-stands in the weights file's metadata as `highlight_bias`.
+by usual devices and by more unusual ones; none occurs in a test. With `--into` the number `--used` becomes part of the
+last layer's bias, and stands in the weights file's metadata as `highlight_bias`. The shipped network has none: where
+walls are in view it then found fewer targets.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Settings:
     severities: tuple[float, ...] = (1.2, 2.0)
     """Severities of the devices [1]."""
     used: float = 0.6
-    """The number that is used."""
+    """The number that `into` is given."""
     into: str = ""
     """A weights file that is given it; empty for none."""
 
