@@ -1,11 +1,11 @@
 """How readily should a network call a pixel highlight? Maps of drawn frames, by what is added to highlight's logit.
 
-python -m experiments.fit_highlight [--segmenter FILE --into FILE] [--preset smoke] [--help]
+python -m experiments.fit_highlight [--segmenter FILE --added NUMBER --into FILE] [--preset smoke] [--help]
 
 A network that was trained by cross-entropy weighs errors of all pixels alike. Objects are few pixels, so on a device
 unlike those of its training it misses much of them and finds little too much. A number added to the logit of a rare
 class mends that (Menon et al., Long-tail learning via logit adjustment, 2021). The frames show one object or several,
-by usual devices and by more unusual ones; none occurs in a test. With `--into` the number `--used` becomes part of the
+by usual devices and by more unusual ones; none occurs in a test. With `--into` the number `--added` becomes part of the
 last layer's bias, and stands in the weights file's metadata as `highlight_bias`. The shipped network has none: where
 walls are in view it then found fewer targets.
 """
@@ -33,7 +33,7 @@ LAYER, HIGHLIGHT = "up15", 1
 HEADS = {
     "shown": "objects in a frame", "severity": "severity", "frames": "frames", "bias": "added", **several.HEADS,
 }  # fmt: skip
-MEAN_HEADS = {"bias": "added", **{name: f"mean {text}" for name, text in several.HEADS.items()}, "used": ""}
+MEAN_HEADS = {"bias": "added", **{name: f"mean {text}" for name, text in several.HEADS.items()}}
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Settings:
     """Most objects in a frame."""
     severities: tuple[float, ...] = (1.2, 2.0)
     """Severities of the devices [1]."""
-    used: float = 0.6
+    added: float = 0.0
     """The number that `into` is given."""
     into: str = ""
     """A weights file that is given it; empty for none."""
@@ -90,10 +90,10 @@ def run(settings: Settings, job: Job) -> Report:
         {"bias": one} | {key: float(np.mean([row[key] for row in rows if row["bias"] == one])) for key in several.HEADS}
         for one in settings.biases
     ]
-    used = settings.used
     if settings.into:
-        write_safetensors(settings.into, arrays | {bias: trained + _only(used)}, about | {"highlight_bias": used})
-    return {"rows": rows, "means": [row | {"used": "used" if row["bias"] == used else ""} for row in means]}
+        changed = arrays | {bias: trained + _only(settings.added)}
+        write_safetensors(settings.into, changed, about | {"highlight_bias": settings.added})
+    return {"rows": rows, "means": means}
 
 
 def _only(value: float) -> np.ndarray:

@@ -17,7 +17,7 @@ from sonarjax.segment.weights import shipped_path
 LAYER = f"params.{fit_highlight.LAYER}.bias"
 
 
-def scores(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
+def biases_seen(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
     """The biases with which maps are made."""
     seen: list[np.ndarray] = []
 
@@ -39,18 +39,18 @@ def trained() -> np.ndarray:
     return arrays[LAYER] - np.float32([0, about.get("highlight_bias", 0.0), 0])
 
 
-def test_the_number_used_goes_into_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_number_added_goes_into_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A second fit, of that file, starts from what training left: it finds the same."""
     arrays, about = read_safetensors(shipped_path())
     path, first = tmp_path / "weights.safetensors", shipped_path()
     for segmenter in (first, path):
-        seen = scores(monkeypatch)
+        seen = biases_seen(monkeypatch)
         settings = fit_highlight.Settings(
-            str(segmenter), (0.0, 0.6), most=(1,), severities=(2.0,), used=0.6, into=str(path)
+            str(segmenter), (0.0, 0.6), most=(1,), severities=(2.0,), added=0.6, into=str(path)
         )
         report = fit_highlight.run(settings, Job(tmp_path / segmenter.stem, 0))
         np.testing.assert_allclose(seen, [trained(), trained() + np.float32([0, 0.6, 0])], atol=1e-6)
-        assert [row["used"] for row in report["means"]] == ["", "used"]
+        assert [row["bias"] for row in report["means"]] == [0.0, 0.6]
         found, said = read_safetensors(path)
         np.testing.assert_allclose(found[LAYER], trained() + np.float32([0, 0.6, 0]), atol=1e-6)
         assert said == about | {"highlight_bias": 0.6}
