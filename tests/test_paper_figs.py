@@ -20,9 +20,9 @@ from skimage.io import imread
 from experiments import ablate, bench_dataset, fit_threshold, reproduce_paper
 from experiments.common import paper
 from experiments.common.frames import sonar_for
-from experiments.common.runs import load
+from experiments.common.runs import Run, load
 from experiments.common.tables import correlation_table, receiver_curve
-from paper_figs import ablations, baseline, docs_pages, docs_slice, index, readme, report, style
+from paper_figs import ablations, baseline, docs_pages, docs_slice, fig05, index, readme, report, style
 from paper_figs.__main__ import main
 from sonarjax.io import SonarjaxError, write_npz
 from sonarjax.scene import objects
@@ -641,3 +641,16 @@ def test_readme_s_command_makes_all_seeds_though_several_commands_did() -> None:
     assert readme.origin([made | {"seed": 0}]) == alone
     said = readme.origin([made | {"seed": seed} for seed in (0, 1, 2)])
     assert said.startswith("`python -m experiments.x --step-deg 30 --seeds 0 1 2`, seeds 0, 1, 2: mean ± largest dev")
+
+
+def test_fig_5_shows_port_on_the_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Frames have starboard first: the last beam is the first column of the picture."""
+    image = np.zeros((1, 128, 128), np.float32)
+    image[0, :, 100:] = 1.0
+    pairs = {"image": image, "labels": image.astype(int)}
+    monkeypatch.setattr(Run, "arrays", lambda self, name: pairs)
+    figure = fig05.draw(Run(Path(), {}))
+    for ax in figure.axes:
+        picture = ax.images[0]
+        left, right = np.asarray(picture.get_array())[:, [0, -1]].T
+        assert (left == 1).all() and (right < 1).all() and ax.get_xlim()[0] < ax.get_xlim()[1]
