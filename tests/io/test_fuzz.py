@@ -161,6 +161,20 @@ def test_from_the_disk(valid, tmp_path, edits, cut):
             assert str(error).startswith(str(path))
 
 
+def peak_bytes(parser, content):
+    """The most memory held at once to read the content: the less of two tries, as caches fill in the first."""
+
+    def once():
+        tracemalloc.start()
+        try:
+            survive(parser, content)
+            return tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+
+    return min(once(), once())
+
+
 def hostile(content, spans, step):
     """Every field of the headers set to each large number in turn."""
     for at in (at for span in spans for at in range(*span, step)):
@@ -183,16 +197,7 @@ HEADERS = [
 def test_no_allocation_that_only_a_header_asks_for(valid, kind, parser, spans, step):
     # float32 out of bytes is 4 x; a check makes a boolean of it; some kB of names and tables.
     limit = 9 * len(valid[kind]) + 400_000
-    survive(parser, valid[kind])  # what is made once (type checks, caches) does not count
-    tracemalloc.start()
-    try:
-        for content in hostile(valid[kind], spans, step):
-            tracemalloc.reset_peak()
-            before = tracemalloc.get_traced_memory()[0]
-            survive(parser, content)
-            assert tracemalloc.get_traced_memory()[1] - before < limit
-    finally:
-        tracemalloc.stop()
+    assert max(peak_bytes(parser, content) for content in hostile(valid[kind], spans, step)) < limit
 
 
 def test_a_hostile_npz_stays_small(make):
@@ -200,9 +205,4 @@ def test_a_hostile_npz_stays_small(make):
     little = make.npy_header("{'descr': '|u1', 'fortran_order': False, 'shape': (3, 4)}") + bytes(50_000_000)
     much = make.npy_header("{'descr': '<f8', 'fortran_order': False, 'shape': (8000, 8000)}")
     for content in (make.npz(image=little), make.npz(image=much)):
-        tracemalloc.start()
-        try:
-            survive(parse_npz_frame, content)
-            assert tracemalloc.get_traced_memory()[1] < 2_000_000
-        finally:
-            tracemalloc.stop()
+        assert peak_bytes(parse_npz_frame, content) < 2_000_000
