@@ -98,6 +98,8 @@ CASES = {
     "sj.track([im, im], recognizer, sonar_poses=3)": "sonar_poses: expected one for each frame, got 3",
     "sj.track([im, im], recognizer, masks=True)": "masks: expected one for each frame, got True",
     "sj.track([im, im], recognizer, masks=[None, im[:9] > 0])": "masks[1]: expected the frame's shape (64, 16), got (9",
+    "sj.track([im, im], recognizer, masks=[None, [[1, 2], [3]]])": "masks[1]: expected an array of numbers, got a list",
+    "sj.Tracker(recognizer).take(im)": "found: expected a Recognition, got ",
     "recognizer(im, starts=[(2.3, 0.0, 0.8)])": f"starts[0]: {POSE}a tuple",
     "sj.PoseFinder(m, 's.toml')": f"sonar: {SONAR}'s.toml'",
     "sj.PoseFinder(two, s)": "target: expected one mesh, got a stack of shape (2,)",

@@ -19,7 +19,7 @@ from sonarjax.calibrate.solver import BOUNCE, Fit, Point, Prior, make_prior, sol
 from sonarjax.engine import Engine
 from sonarjax.refine.template import POSE
 from sonarjax.render import WindowSize, plan_window
-from sonarjax.render.region import image_azimuth
+from sonarjax.render.region import image_azimuth, leaning_room
 from sonarjax.scene import Mesh, Pose
 from sonarjax.sonar import Sonar
 
@@ -110,9 +110,12 @@ def fit_frames(
 def _window(job: Job, starts: Sequence[Pose], change: np.ndarray) -> WindowSize:
     """One window size for all frames: all ranges, and the beams that the target may touch."""
     sonar = changed_sonar(job.sonar, job.free, jnp.asarray(change))
-    nearest = min(float(np.hypot(start.x, start.y)) for start in starts)
-    planned = plan_window(job.mesh, sonar, nearest, SLACK_M)
-    return WindowSize((job.sonar.n_ranges, planned.shape[1]), planned.object_columns)
+    planned = [
+        plan_window(leaning_room(job.mesh, s.z, abs(s.roll), abs(s.pitch)), sonar, float(np.hypot(s.x, s.y)), SLACK_M)
+        for s in starts
+    ]
+    touched = [size.object_columns for size in planned if size.object_columns is not None]
+    return WindowSize((job.sonar.n_ranges, max(size.shape[1] for size in planned)), max(touched))
 
 
 def _observation(job: Job, frame: Prepared, start: Pose, size: WindowSize, change: np.ndarray) -> Observation:
@@ -195,7 +198,8 @@ def _put_back(job: Job, change: np.ndarray, loose: Sequence[str]) -> np.ndarray:
 
 def _row_spread(observations: Sequence[Observation], sampling: Any) -> np.ndarray:
     """First guess of the standard deviation of residuals (row,): how much neighbouring beams differ."""
-    return _smooth(np.median([_beam_difference(seen, sampling) for seen in observations], axis=0))
+    differences = np.array([_beam_difference(seen, sampling) for seen in observations])
+    return _smooth(np.ma.median(np.ma.masked_equal(differences, 0.0), axis=0).filled(0.0))
 
 
 def _beam_difference(seen: Observation, sampling: Any) -> np.ndarray:

@@ -14,7 +14,7 @@ from sonarjax.engine import Engine
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.given import check_kind, image_array, number_array, shown
 from sonarjax.render.fits import check_single
-from sonarjax.render.region import image_azimuth
+from sonarjax.render.region import rolled_azimuth
 from sonarjax.render.simulate import check_sonar_alone
 from sonarjax.scene import Mesh, Pose
 from sonarjax.scene.limits import check_pose
@@ -92,7 +92,8 @@ def starts_of(poses: Pose, count: int, sonar: Sonar) -> list[Pose]:
     starts = [jax.tree.map(lambda v, k=k: np.asarray(v)[k], poses) for k in range(count)]
     edges = np.asarray(sonar.azimuth_edges)
     for number, pose in enumerate(starts):
-        slant, azimuth = math.hypot(pose.x, pose.y, float(sonar.height)), image_azimuth(pose.x, pose.y, sonar)
+        slant = math.hypot(pose.x, pose.y, float(sonar.height) - pose.z)
+        azimuth = rolled_azimuth(pose.x, pose.y, pose.z, sonar, float(sonar.roll))
         if not (sonar.range_min < slant < sonar.range_max and edges[0] < azimuth < edges[-1]):
             place = f"x {float(pose.x):.3g} m, y {float(pose.y):.3g} m"
             raise SonarjaxError(f"poses[{number}]: expected the object in view, got {place}")

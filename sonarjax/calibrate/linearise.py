@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sonarjax.calibrate.look import Look
-from sonarjax.calibrate.parameters import changed_mesh, changed_sonar
+from sonarjax.calibrate.parameters import changed_mesh, changed_sonar, resting
 from sonarjax.calibrate.picture import Sampling, fitted, measured_mean, object_layers, picture, placed
 from sonarjax.exact import full_precision
 from sonarjax.records import record
@@ -76,7 +76,8 @@ def linearise(
 
     def layers_at(step: Array, change: Array, path: Array) -> Array:
         grown, changed = changed_mesh(mesh, free, change), changed_sonar(sonar, free, change)
-        return object_layers(grown, changed, seen.start, step, path, seen.column, size)
+        start = seen.start if grown is mesh else resting(seen.start, mesh, grown)
+        return object_layers(grown, changed, start, step, path, seen.column, size)
 
     def residual(layers: Array, change: Array, look: Look, bounce: Array) -> Array:
         drawn = picture(changed_sonar(sonar, free, change), look, layers, bounce, reference)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -13,7 +14,7 @@ from jaxtyping import Array, Float
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.given import is_number, shown
 from sonarjax.refine.free import in_order
-from sonarjax.scene import Mesh
+from sonarjax.scene import Mesh, Pose
 from sonarjax.sonar import Sonar
 
 
@@ -54,8 +55,8 @@ SIZES: dict[str, Parameter] = {
     name: Parameter(0.25, 0.08, "1") for name in ("object_length", "object_width", "object_height")
 }
 """The object's numbers that may be free instead, see `sonarjax.shape.fit_size`: its extents along x, y and z of
-its mesh, as the logarithm of their ratio to those of the mesh. The height grows from the mesh's lowest point, which
-stays where it is.
+its mesh, as the logarithm of their ratio to those of the mesh. The mesh grows around its origin, but from its lowest
+point upwards; where it leans, the lowest point in each frame stays where the pose puts it (`resting`).
 """
 
 
@@ -138,3 +139,12 @@ def changed_mesh(mesh: Mesh, free: Sequence[str], change: Float[Array, "free"]) 
     vertices = jnp.asarray(mesh.vertices)
     base = vertices[..., 2].min() * jnp.array([0.0, 0.0, 1.0])
     return mesh.with_vertices(base + (vertices - base) * grown)
+
+
+def resting(pose: Pose, mesh: Mesh, grown: Mesh) -> Pose:
+    """The poses (*batch), raised or lowered so that the lowest point is as high for `grown` as for `mesh`.
+
+    Nothing changes where the object is upright; one that lies grows from its lowest side. Differentiable.
+    """
+    was, now = (pose.to_ground(jnp.asarray(one.vertices))[..., 2].min(axis=-1) for one in (mesh, grown))
+    return replace(pose, z=pose.z + (was - now))

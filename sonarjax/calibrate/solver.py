@@ -154,9 +154,14 @@ def _assembled(parts: Sequence[Blocks], point: Point, prior: Prior) -> _Assemble
     return _Assembled(
         own=hessian[:, :OWN, :OWN], across=hessian[:, :OWN, OWN:], own_gradient=gradient[:, :OWN],
         shared=hessian[:, OWN:, OWN:].sum(0), shared_gradient=gradient[:, OWN:], prior_gradient=tight * away,
-        tight=tight, costs=costs, cost=float(cost) if sound.all() else np.inf, square=square.mean(0),
+        tight=tight, costs=costs, cost=float(cost) if sound.all() else np.inf, square=_mean_square(square),
         sound=sound,
     )  # fmt: skip
+
+
+def _mean_square(square: np.ndarray) -> np.ndarray:
+    """Means (row,) of mean squares (frame, row) over the frames that measured a row: the others hold 0."""
+    return square.sum(0) / np.maximum((square > 0).sum(0), 1)
 
 
 def _eliminated(at: _Assembled, damping: float = 0.0) -> tuple[np.ndarray, np.ndarray]:

@@ -46,6 +46,8 @@ LEAST_GAIN = 2e-4
 """A step that lowers the cost by a smaller share is the last."""
 MOST_DAMPING = 1e3
 """At this damping the search for a better step is given up."""
+FARTHEST_SONAR_M = 1e4
+"""Largest coordinate of a sonar's pose [m]. Poses are kept in float32, which resolves 1 mm there."""
 
 
 class Fixed(NamedTuple):
@@ -366,13 +368,19 @@ def check_views(images: Any, sonar_poses: Pose, start: Pose, sonar: Sonar) -> np
         raise SonarjaxError(f"image: expected shape (view, {sonar.n_ranges}, {sonar.n_beams}), got {np.shape(images)}")
     if sonar_poses.shape != np.shape(images)[:1]:
         raise SonarjaxError(f"sonar_poses: expected one pose for each of {len(images)} views, got {sonar_poses.shape}")
-    check_level(sonar_poses, "sonar_poses")
+    check_sonar_poses(sonar_poses, "sonar_poses")
     if len(start.shape) > 1:
         raise SonarjaxError(f"start: expected one pose or one axis of poses for all views, got shape {start.shape}")
     return np.stack([np.asarray(v, float) for v in (sonar_poses.x, sonar_poses.y, sonar_poses.yaw)], axis=1)
 
 
-def check_level(sonar_poses: Pose, name: str) -> None:
-    """Raise a SonarjaxError if a sonar's pose is lifted or leans."""
+def check_sonar_poses(sonar_poses: Pose, name: str) -> None:
+    """Raise a SonarjaxError if a sonar's pose is lifted or leans, is not finite, or is far from its frame's origin."""
+    farthest = np.abs(np.stack([np.asarray(v, float) for v in (sonar_poses.x, sonar_poses.y)])).max(initial=0.0)
+    if not farthest <= FARTHEST_SONAR_M:  # NaN fails this as well
+        raise SonarjaxError(
+            f"{name}: expected x and y from {-FARTHEST_SONAR_M:g} to {FARTHEST_SONAR_M:g} m, got {farthest:g}: poses "
+            "are kept in float32, which rounds larger ones; give them relative to a point nearby"
+        )
     if any(np.asarray(getattr(sonar_poses, number)).any() for number in ("z", "roll", "pitch")):
         raise SonarjaxError(f"{name}: expected z, roll and pitch of 0: the sonar itself has height, tilt and roll")

@@ -108,14 +108,17 @@ def _azimuth_width(mesh: Mesh, sonar: Sonar, ground_range: float, reach: float) 
     around = np.linspace(0, 2 * math.pi, 65)
     x, y = ground_range * np.cos(bearings), ground_range * np.sin(bearings)
     heights = np.array([[0.0], [max(float(mesh.top), 0.0)]])
-    rings = _azimuths(x + reach * np.cos(around), y + reach * np.sin(around), heights, sonar, roll)
-    aside = np.abs(rings - _azimuths(x, y, 0.0, sonar, 0.0))  # (bearing, height, point)
+    rings = rolled_azimuth(x + reach * np.cos(around), y + reach * np.sin(around), heights, sonar, roll)
+    aside = np.abs(rings - rolled_azimuth(x, y, 0.0, sonar, 0.0))  # (bearing, height, point)
     seen = _in_view(rings, sonar) if roll else np.ones(1, bool)
     return min(2 * float(aside[seen].max()), math.pi) if seen.any() else math.pi
 
 
-def _azimuths(x: Any, y: Any, z: Any, sonar: Sonar, roll: float) -> np.ndarray:
-    """Azimuth [rad] of ground points in the frame of a sonar tilted, and rolled by `roll` [rad]. On the host."""
+def rolled_azimuth(x: Any, y: Any, z: Any, sonar: Sonar, roll: float) -> Any:
+    """Azimuth [rad] of ground points x, y, z [m] in the frame of a sonar tilted, and rolled by `roll` [rad].
+
+    On the host.
+    """
     tilt, below = float(sonar.tilt), float(sonar.height) - z
     forward = math.cos(tilt) * x + math.sin(tilt) * below
     upward = math.sin(tilt) * x - math.cos(tilt) * below

@@ -15,7 +15,7 @@ import numpy as np
 from sonarjax.calibrate.detect import Prepared
 from sonarjax.calibrate.fit import FINE, Job, fit_frames, relative_residual, with_nominal_look
 from sonarjax.calibrate.inputs import check_floor, check_frames, check_kinds, check_not_blank, starts_of
-from sonarjax.calibrate.parameters import SIZES, changed_mesh, prior_std
+from sonarjax.calibrate.parameters import SIZES, changed_mesh, prior_std, resting
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.refine.free import in_order
 from sonarjax.render.room import with_lean_room
@@ -127,7 +127,7 @@ def fit_size(
         singular_values=known.singular_values,
         poses=Pose(
             x=np.asarray(poses.x) + own[:, 1], y=np.asarray(poses.y) + own[:, 2], yaw=np.asarray(poses.yaw) + own[:, 0],
-            z=poses.z, roll=poses.roll, pitch=poses.pitch,
+            z=resting(poses, mesh, fitted).z, roll=poses.roll, pitch=poses.pitch,
         ),
         residual=relative_residual(fit.costs, measured),
         converged=fit.converged,

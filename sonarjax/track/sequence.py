@@ -16,7 +16,7 @@ from sonarjax.io.given import check_kind, image_array, is_number, number_array, 
 from sonarjax.recognition import Recognition
 from sonarjax.recognize import Recognizer
 from sonarjax.refine import in_view
-from sonarjax.refine.views import check_level
+from sonarjax.refine.views import check_sonar_poses
 from sonarjax.scene import Pose
 from sonarjax.track.belief import Belief, next_belief, nothing_known, numbers_of, predicted
 from sonarjax.track.measurement import Mode, each_of, measurement_of, modes_of
@@ -186,8 +186,10 @@ class Tracker:
             The belief after this frame.
 
         Raises:
-            SonarjaxError: The sonar's pose or the time cannot be used.
+            SonarjaxError: The sonar's pose or the time cannot be used, or `found` is no Recognition.
         """
+        if found is not None:
+            check_kind(found, Recognition, "found")
         at = _sonar_numbers(sonar_pose)
         _check_elapsed(elapsed)
         elapsed = elapsed if self._begun else 0.0
@@ -311,7 +313,7 @@ def _checked(
     if len(masked) != len(images):
         raise SonarjaxError(f"masks: expected one for each of {len(images)} frames, got {len(masked)}")
     for k, mask in enumerate(masked):
-        if mask is not None and np.shape(mask) != images[k].shape:
+        if mask is not None and number_array(mask, f"masks[{k}]").shape != images[k].shape:
             raise SonarjaxError(f"masks[{k}]: expected the frame's shape {images[k].shape}, got {np.shape(mask)}")
     elapsed = [1.0] * len(images)
     if times is not None:
@@ -370,7 +372,7 @@ def _sonar_numbers(pose: Pose | None) -> np.ndarray:
     at = np.array([pose.x, pose.y, pose.yaw], np.float32)
     if not np.isfinite(at).all():
         raise SonarjaxError(f"sonar_pose: expected finite x, y and yaw, got {at.tolist()}")
-    check_level(pose, "sonar_pose")
+    check_sonar_poses(pose, "sonar_pose")
     return at
 
 

@@ -36,6 +36,19 @@ def test_poses_within_the_outer_beams_are_in_view() -> None:
                 starts_of(pose, 1, sonar)
 
 
+def test_a_rolled_sonar_sees_what_its_beams_reach() -> None:
+    """The renderer decides, by a small box. The azimuth without roll would be wrong at all four places."""
+    sonar = SONAR.replace(roll=0.5, tilt=math.radians(20.0), height=0.9, elevation_aperture=math.radians(40.0))
+    mesh = sj.Mesh.from_arrays(*sj.objects.box((0.02, 0.02, 0.02), (0.0, 0.0, 0.01)))
+    for x, y, seen in ((1.6, 0.5, True), (1.7, 0.55, True), (1.6, -0.42, False), (1.7, -0.45, False)):
+        assert bool(np.asarray(sj.render(mesh, sj.Pose(x, y), sonar).highlight).any()) == seen
+        if seen:
+            assert len(starts_of(sj.Pose([x], [y]), 1, sonar)) == 1
+        else:
+            with pytest.raises(sj.SonarjaxError, match="expected the object in view"):
+                starts_of(sj.Pose([x], [y]), 1, sonar)
+
+
 def test_each_number_changes_what_it_says() -> None:
     def changed(name: str, value: float) -> sj.Sonar:
         return changed_sonar(SONAR, (name,), jnp.array([value]))

@@ -38,6 +38,15 @@ def evaluate(linear):
     return at
 
 
+def test_rows_that_few_frames_measured_are_not_taken_for_exact(linear) -> None:
+    one = evaluate(linear)(begin())[0]
+    squares = np.array([[0.04, 0.04, 0.0], [0.04, 0.0, 0.0], [0.04, 0.0, 0.0]])  # row 1 in one frame, row 2 in none
+    blocks = [one._replace(square=square) for square in squares]
+    start = Point(begin().shared, begin().own[:3])
+    fit = solve_jointly(lambda at: blocks, start, make_prior(FREE, STD), iterations=0)
+    np.testing.assert_allclose(fit.spread, [0.2, 0.2, 0.0])
+
+
 def begin() -> Point:
     return Point(np.concatenate([[0, 0], LOOK]), np.tile([0, 0, 0, BOUNCE], (FRAMES, 1)))
 

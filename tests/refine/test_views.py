@@ -90,6 +90,11 @@ def test_two_views_with_white_noise_know_more_than_one():
     [
         ({"image": np.zeros(SONAR.shape, np.float32)}, "image: expected shape"),
         ({"sonar_poses": sj.Pose(np.zeros(3))}, "sonar_poses: expected one pose for each of 2 views"),
+        (
+            {"sonar_poses": sj.Pose(np.full(2, 448251.3))},
+            "sonar_poses: expected x and y from -10000 to 10000 m, got 4482",
+        ),
+        ({"sonar_poses": sj.Pose(np.full(2, np.nan))}, "sonar_poses: expected x and y from .* got nan"),
         ({"sonar_poses": sj.Pose(np.zeros(2), roll=0.1)}, "sonar_poses: expected z, roll and pitch of 0"),
         ({"start": sj.Pose(np.zeros((2, 2)))}, "start: expected one pose or one axis"),
         ({"mask": np.ones((2, 3), bool)}, "mask: expected the images' shape"),

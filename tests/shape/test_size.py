@@ -10,7 +10,10 @@ import numpy as np
 import pytest
 
 import sonarjax as sj
-from sonarjax.calibrate.parameters import SIZES, changed_mesh
+from sonarjax.calibrate.detect import Prepared
+from sonarjax.calibrate.fit import Job, _observation, _window
+from sonarjax.calibrate.parameters import SIZES, changed_mesh, resting
+from sonarjax.engine import PLAIN
 from sonarjax.scene.objects import BRICK_M, box
 from sonarjax.sensor import SensorModel, observe_scene
 
@@ -49,6 +52,49 @@ def test_the_lowest_point_stays_where_the_pose_puts_it() -> None:
     grown = changed_mesh(mesh, ("object_height",), jnp.log(jnp.array([2.0])))
     half = BRICK_M[2] / 2
     np.testing.assert_allclose([grown.vertices[:, 2].min(), grown.vertices[:, 2].max()], [-half, 3 * half], rtol=1e-6)
+
+
+@pytest.mark.parametrize("axis", ["object_width", "object_height"])
+def test_a_lying_object_grows_from_its_lowest_side(axis) -> None:
+    """It lies on its side, or stands on an edge: the lowest point stays, upright the pose does."""
+    mesh = brick(BRICK_M)
+    grown = changed_mesh(mesh, (axis,), jnp.log(jnp.array([1.5])))
+    lying = sj.Pose(2.0, 0.1, [0.2, 0.7], z=0.03, roll=[math.pi / 2, 0.4], pitch=[0.0, 0.3])
+    rested = resting(lying, mesh, grown)
+    before, after = (np.asarray(p.to_ground(m.vertices)) for p, m in ((lying, mesh), (rested, grown)))
+    np.testing.assert_allclose(after[..., 2].min(axis=-1), before[..., 2].min(axis=-1), atol=1e-6)
+    np.testing.assert_array_equal([rested.x, rested.y], [lying.x, lying.y])
+    np.testing.assert_array_equal(resting(POSES, mesh, grown).z, POSES.z)
+
+
+def test_the_window_holds_an_object_that_lies_across_the_beams() -> None:
+    post, pose = brick((0.08, 0.08, 0.6)), sj.Pose(2.2, 0.3, [0.0, 0.25], z=0.04, roll=math.pi / 2)
+    starts = [jax.tree.map(lambda v, k=k: np.asarray(v)[k], pose) for k in range(2)]
+    job = Job([], post, SONAR, ("object_height",), np.ones(1), PLAIN, print)
+    size = _window(job, starts, np.zeros(1))
+    for start in starts:
+        seen = np.flatnonzero(np.asarray(sj.render(post, start, SONAR).highlight).any(axis=0))
+        frame = Prepared(BLANK[0], None, BLANK[0])
+        first = int(_observation(job, frame, start, size, np.zeros(1)).column)
+        assert len(seen) > 40 and first <= seen[0] and seen[-1] < first + size.shape[1]
+
+
+@pytest.mark.slow
+@pytest.mark.computes
+def test_the_width_of_a_box_that_lies_on_its_side() -> None:
+    true, given, yaws = 0.18, 0.15, [-0.5, 0.4, 1.4]
+    lying = sj.Pose(2.2, 0.05, np.array(yaws), z=given / 2, roll=math.pi / 2)
+    seen = [
+        observe_scene(
+            brick((0.3, true, 0.2)), sj.Pose(2.2, 0.05, yaw, z=true / 2, roll=math.pi / 2), SONAR,
+            SensorModel.nominal(1.0), key=jax.random.key(k),
+        )[0]
+        for k, yaw in enumerate(yaws)
+    ]  # fmt: skip
+    found = sj.fit_size(np.stack(seen), brick((0.3, given, 0.2)), SONAR, lying, free=("object_width",))
+    assert found.determined["object_width"] and found.extent[1] == pytest.approx(true, rel=0.02)
+    lowest = np.asarray(found.poses.to_ground(found.mesh.vertices))[..., 2].min(axis=-1)
+    np.testing.assert_allclose(lowest, 0.0, atol=1e-5)
 
 
 @pytest.mark.slow

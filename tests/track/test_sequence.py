@@ -159,6 +159,9 @@ BAD = {
     "no finite pose": (
         (GOOD,), {"sonar_poses": replace(POSES, x=POSES.x + np.nan)}, "sonar_pose: expected finite x, y and yaw",
     ),
+    "map coordinates": (
+        (GOOD,), {"sonar_poses": replace(POSES, y=POSES.y + 5411932.7)}, "sonar_pose: expected x and y from -10000 to",
+    ),
     "a leaning sonar": (
         (GOOD,), {"sonar_poses": replace(POSES, roll=POSES.x + 0.1)}, "sonar_pose: expected z, roll and pitch of 0",
     ),
