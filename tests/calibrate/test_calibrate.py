@@ -13,7 +13,8 @@ import pytest
 
 import sonarjax as sj
 from experiments.incidence_limit import darkened
-from sonarjax.calibrate.calibration import WIDENING, _note_few_frames, _possible
+from sonarjax.calibrate import detect
+from sonarjax.calibrate.calibration import WIDENING, _first_guess, _note_few_frames, _possible
 from sonarjax.calibrate.detect import Prepared
 from sonarjax.calibrate.fit import FINE, Job, _put_back, _starts, fit_frames, relative_residual, with_nominal_look
 from sonarjax.calibrate.inputs import check_floor
@@ -283,3 +284,29 @@ def test_a_pose_may_say_how_the_mesh_lies() -> None:
 def test_a_mesh_may_hang_above_the_floor() -> None:
     """As a pipe on supports that its mesh leaves out."""
     check_floor(SUNKEN.with_vertices(SUNKEN.vertices + jnp.array([0.0, 0.0, 0.124])), None)
+
+
+def test_a_poorly_known_height_is_first_searched_for(monkeypatch) -> None:
+    """Stand-ins for the search: two frames match best at 0.7 m, the third better the higher, but never likely."""
+    tried = []
+
+    def search(mesh, sonar, config, *, engine):
+        if float(sonar.height) < 0.55:
+            raise sj.SonarjaxError("sonar: no part of the floor is inside its aperture")
+        tried.append(float(sonar.height))
+        return SimpleNamespace(height=float(sonar.height))
+
+    def locate(banks, seen, mask):
+        shown = seen[0, 0] > 0
+        return SimpleNamespace(score=0.9 - abs(banks.height - 0.7) if shown else 0.2 + 0.2 * banks.height)
+
+    monkeypatch.setattr(detect, "TargetSearch", search)
+    monkeypatch.setattr(detect, "locate", locate)
+    sonar = NOMINAL.replace(height=0.9)
+    images = [np.full(sonar.shape, value, np.float32) for value in (1.0, 1.0, 0.0)]
+    frames = [Prepared(image, None, image) for image in images]
+    job = Job(frames, sj.objects.brick(), sonar, ("tilt", "height"), np.array([0.05, 0.3]), PLAIN, lambda text: None)
+    np.testing.assert_allclose(_first_guess(job, sj.SearchConfig()), [0.0, -0.2], atol=1e-6)
+    assert (min(tried), max(tried)) == pytest.approx((0.6, 1.4))
+    known = job._replace(std=np.array([0.05, 0.05]))
+    np.testing.assert_array_equal(_first_guess(known, sj.SearchConfig()), [0.0, 0.0])

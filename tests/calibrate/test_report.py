@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import sonarjax as sj
-from sonarjax.calibrate import Calibration, describe_calibration
+from sonarjax.calibrate import Calibration, compare_templates, describe_calibration
 from sonarjax.sensor import SensorModel
 
 
@@ -56,3 +56,16 @@ def test_an_incidence_limit_is_told_in_degrees(change: float, determined: bool, 
     )  # fmt: skip
     nominal = sj.Sonar.preset("didson-hf", highlight_max_incidence=70.0)
     assert describe_calibration(found, nominal, ["a.png"]).splitlines()[0] == said
+
+
+def test_a_comparison_shows_the_nominal_sonar_first() -> None:
+    nominal = sj.Sonar.preset("didson-hf", tilt=math.radians(20.0))
+    nominal = nominal.replace(azimuth=nominal.azimuth[36:60])
+    fitted = nominal.replace(tilt=nominal.tilt + 0.1, height=nominal.height + 0.1)
+    poses = sj.Pose([2.2, 2.3], 0.0, [0.3, 0.9])
+    made = calibration(used=np.array([False, True]), poses=poses, sonar=fitted)
+    images, before, later = compare_templates(made, ["a", "b"], sj.objects.brick(), nominal)
+    assert images == ["b"]
+    for maps, one in ((before, nominal), (later, fitted)):
+        shown = sj.render(sj.objects.brick(), sj.Pose(2.3, 0.0, 0.9), one).semantic()
+        np.testing.assert_array_equal(maps[0], np.asarray(shown))

@@ -1,9 +1,12 @@
 """`sonarjax recognize` with several targets: which one is found, and targets that cannot be used."""
 
 import json
+import math
 
+import numpy as np
 import pytest
 
+import sonarjax as sj
 from sonarjax.cli.targets import mesh_files
 from sonarjax.io import SonarjaxError
 
@@ -60,3 +63,17 @@ def test_a_name_that_no_result_can_hold_is_refused_at_once(tmp_path):
     with pytest.raises(SonarjaxError, match=r"MESH: 'b\\udcffx.stl': expected a file name in UTF-8"):
         mesh_files(["b\udcffx.stl"], "MESH")
     assert mesh_files(["Köder.stl"], "MESH") == {"Köder": "Köder.stl"}
+
+
+def test_the_margin_is_the_lead_over_the_runner_up():
+    azimuth = np.radians((np.arange(24) - 11.5) * 29 / 24).astype(np.float32)
+    sonar = sj.Sonar.preset(
+        "didson-hf", tilt=math.radians(20), azimuth=azimuth, n_ranges=96, range_min=2.0, range_max=3.0
+    )
+    meshes = {"pile": sj.objects.target(), "brick": sj.objects.brick()}
+    image = np.asarray(sj.render(meshes["pile"], sj.Pose(2.3, 0.05, 0.8), sonar).semantic())
+    how = {"segmenter": "none", "refine": None, "search": sj.SearchConfig(yaw_bins=12)}
+    both = sj.Recognizer(meshes, sonar, **how)(image, threshold=0.5)
+    alone = {name: sj.Recognizer(mesh, sonar, **how)(image, threshold=0.5).score_bank for name, mesh in meshes.items()}
+    assert (both.target, both.runner_up) == ("pile", "brick")
+    assert both.margin == pytest.approx(alone["pile"] - alone["brick"], abs=0.02)

@@ -120,3 +120,20 @@ def test_real_file(real):
     assert geometry["azimuth_deg"][0] == pytest.approx(-7.339) and "roll_deg" not in geometry
     assert 0.2 < frames[0].image.mean() < 0.6
     assert "ARIS 1200" in describe(path) and "48 beams" in describe(path)
+
+
+@pytest.mark.parametrize(
+    ("system", "mode", "low", "high"), [(0, 3, 1.1e6, 1.8e6), (1, 9, 1.8e6, 3.0e6), (2, 1, 0.7e6, 1.2e6)]
+)
+def test_the_header_says_which_of_two_frequencies(make, saved, system, mode, low, high):
+    content = bytearray(make.aris(n_frames=1, system=system, ping_mode=mode))
+    (frame,) = read_frames(saved("a.aris", bytes(content)))
+    assert frame.geometry["frequency_hz"] == high and len(frame.geometry["azimuth_deg"]) == frame.shape[1]
+    content[1024 + 440 : 1024 + 444] = bytes(4)
+    (frame,) = read_frames(saved("b.aris", bytes(content)))
+    assert frame.geometry["frequency_hz"] == low
+
+
+def test_a_large_lens_has_another_aperture(make, saved):
+    (frame,) = read_frames(saved("a.aris", make.aris(n_frames=1, lens=1)))
+    assert "elevation_aperture_deg" not in frame.geometry and frame.meta["large_lens"]

@@ -118,3 +118,13 @@ def test_only_the_banks_that_were_looked_at_last_are_kept(look: FirstLook, monke
     again = search.find_near(1, images[0]).scores
     assert rendered[len(images) :] == rendered[:1]
     np.testing.assert_array_equal(again, first[0])
+
+
+def test_a_first_look_takes_what_was_not_measured_for_background(look: FirstLook) -> None:
+    image = np.asarray(sj.render(boxes()["bar"], sj.Pose(2.35, 0.1, 0.5), SONAR).semantic())
+    mask = np.ones(image.shape, bool)
+    mask[:5] = mask[:, :4] = False
+    plain, holed = look.best(image), look.best(np.where(mask, image, np.nan), mask)
+    for name, one in plain.items():
+        assert holed[name].score == pytest.approx(one.score, abs=1e-3)
+        assert holed[name].distance_index == one.distance_index

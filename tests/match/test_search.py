@@ -177,3 +177,14 @@ def test_finer_bins_leave_the_own_rise_as_it_is() -> None:
 def test_a_bank_says_that_its_object_is_out_of_view() -> None:
     with pytest.raises(OutOfViewError, match="an object at x 50.00 m, y 0.00 m is outside the sonar's view"):
         sj.template_bank(sj.objects.brick(), SONAR, [0.0], x=50.0)
+
+
+def test_a_target_whose_highlight_was_not_measured_is_not_found() -> None:
+    sonar = sj.Sonar.preset("didson-hf", tilt=math.radians(20.0), n_ranges=128)
+    sonar = sonar.replace(azimuth=sonar.azimuth[40:56])
+    mesh = sj.Mesh.from_arrays(*sj.objects.box((0.2, 0.1, 0.1), (0.0, 0.0, 0.05)))
+    searched = TargetSearch(mesh, sonar, SearchConfig(yaw_bins=8))
+    frame = sj.render(mesh, sj.Pose(x=float(searched.distances[4])), sonar)
+    image, mask = np.asarray(frame.semantic()), np.asarray(frame.highlight) < 0.01
+    assert searched.find_near(4, image, np.ones(mask.shape, bool)).scores.max() > 0.9
+    assert searched.find_near(4, np.where(mask, image, np.nan), mask).scores.max() < 0.8

@@ -10,12 +10,15 @@ import numpy as np
 import pytest
 
 import sonarjax as sj
+from sonarjax.engine import PLAIN
 from sonarjax.refine import (
     COMPARISON,
     MAP_REFINEMENT,
     Candidate,
     Look,
+    Start,
     agreeing,
+    candidates,
     compared,
     plan_refinement,
     plan_shared,
@@ -89,3 +92,26 @@ def test_yaws_agree_whatever_the_bearings_of_their_banks() -> None:
     assert not agreeing(matched(2.3, 0.12, 0), turned)
     turned.match.scores = np.eye(36)[2]
     assert agreeing(matched(2.3, 0.12, 0), turned)
+
+
+def test_of_a_candidates_refinements_the_better_fit_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    fits = iter([0.9, 0.4, 0.3, 0.7])
+    image, found_in = np.zeros((4, 4), np.float32), SimpleNamespace(search=SimpleNamespace(mesh=None, sonar=None))
+    starts = [Start(found_in, 0, image, sj.Pose(yaw=yaw)) for yaw in (0.0, 2.0)]  # type: ignore[arg-type]
+    monkeypatch.setattr(candidates, "make_starts", lambda *given: starts)
+    monkeypatch.setattr(candidates, "refine_and_draw", lambda *given: (None, None))
+    monkeypatch.setattr(candidates, "evidence_of", lambda *given: SimpleNamespace(frame_fit=next(fits)))
+    monkeypatch.setattr(candidates, "curve_evidence", lambda *given: {})
+    pair = [Look(SimpleNamespace(score=0.5))] * 2  # type: ignore[arg-type]
+    seen = candidates.quick_evidence(pair, image, image, None, MAP_REFINEMENT, lambda *given: None, PLAIN)
+    assert [one["frame_fit"] for one in seen] == [0.9, 0.7]
+
+
+def test_one_of_several_is_matched_again_by_its_echoes_where_it_was_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(candidates, "locate", lambda *given: given)
+    search: Any = SimpleNamespace(nearest=lambda match: {"matched": 3}[match])
+    seen: Any = SimpleNamespace(search=search, match="matched")
+    image = np.zeros((4, 4), np.float32)
+    again: Any = (search, image, None, "frame", 3)
+    assert candidates.by_echoes(Look(seen, seen), image, None) == Look(seen, again)
+    assert candidates.by_echoes(Look(seen), image, None) == Look(seen)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from sonarjax.refine import ERROR_BAR, POSE_ERROR_BAR, ErrorBar, PoseErrorBar
+from sonarjax.refine import ERROR_BAR, POSE_ERROR_BAR, Candidate, ErrorBar, PoseErrorBar, curve_evidence
 from sonarjax.refine.errorbar import SHARPEST, USUAL_ODDS
 
 
@@ -68,3 +70,12 @@ def test_nothing_known_stays_infinite() -> None:
     nothing = np.diag([np.inf, np.inf])
     found = POSE_ERROR_BAR.covariance(nothing, np.array([False, False]), ("yaw", "x"))
     assert np.isinf(np.diag(found)).all() and np.isfinite(found[0, 1])
+
+
+@pytest.mark.parametrize("bins", [18, 36, 72])
+def test_the_drop_beside_the_best_yaw_is_at_ten_degrees(bins: int) -> None:
+    off = np.abs((np.arange(bins) * 360 / bins + 180) % 360 - 180)
+    scores = 0.8 - 0.003 * off  # 0.03 less at 10 degrees
+    match: Any = SimpleNamespace(scores=scores, own_scores=lambda: scores)
+    search: Any = SimpleNamespace()
+    assert curve_evidence(Candidate(search, match, 2.3, 0.0), None)["frame_drop"] == pytest.approx(0.03)

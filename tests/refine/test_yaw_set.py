@@ -12,6 +12,7 @@ from sonarjax.io import SonarjaxError
 from sonarjax.recognition import Hypothesis, Recognition
 from sonarjax.refine import YAW_WEIGHTS, YawMode, YawSet, YawWeights, make_yaw_set, merged, shares
 from sonarjax.results import record_of
+from tests.track.measurements import found
 
 DEG = math.pi / 180
 BINS = np.arange(36) * 10 * DEG
@@ -162,3 +163,12 @@ def test_a_frame_found_without_the_bank_has_no_set():
     assert without.yaw_set is None and record_of(without, "a.npy", 0.1)["yaw_set"] is None
     with_curve = replace(found, yaw_bin=1.0).yaw_set
     assert with_curve is not None and with_curve.modes[0].yaw == pytest.approx(1.0)
+
+
+def test_the_set_of_a_frame_has_the_banks_other_peaks_where_they_are():
+    curve = np.full(36, 0.2)
+    curve[[3, 12]] = 0.8, 0.79  # the second peak lies 90 degrees to port of the best
+    best = math.radians(50.0)  # of a bank turned by the bearing
+    seen = replace(found([best]), yaw_bin=best, scores_by_yaw=curve)
+    yaws = sorted(math.degrees(mode.yaw) for mode in seen.yaw_set.modes if mode.weight > 0.01)
+    assert yaws == pytest.approx([50.0, 140.0], abs=0.5)

@@ -435,3 +435,11 @@ def test_wrong_calls_are_refused():
         render([], [], SONAR)
     with pytest.raises(SonarjaxError, match="sub_beams"):
         render(CUBE, AWAY, SONAR, quality=RenderQuality(sub_beams=0))
+
+
+def test_an_echo_is_lit_where_no_floor_is():
+    """A box that hangs nearer than the floor that the aperture shows."""
+    frame, bare = (render(box((0.2, 0.3, 0.2), (0.0, 0.0, 0.1)), pose, SONAR) for pose in (Pose(x=1.6, z=0.35), AWAY))
+    before = (np.asarray(frame.highlight) > 0.5) & ~np.asarray(bare.lit)
+    assert before.any() and np.asarray(frame.lit)[before].all()
+    assert (np.asarray(frame.lit) | ~np.asarray(bare.lit)).all()

@@ -37,6 +37,14 @@ class Shaded(Generator):
         return x * jnp.linspace(1.0, 0.8, x.shape[2])[:, None]
 
 
+class Rim(Generator):
+    """Sees highlight along both sides of whatever patch it gets."""
+
+    def __call__(self, x: Any, train: bool = False) -> Any:
+        at, width = jnp.arange(x.shape[2]), x.shape[2]
+        return jnp.zeros_like(x) + jnp.where((at < width // 8) | (at >= width - width // 8), 1.0, 0.0)[:, None]
+
+
 NO_WEIGHTS = GeneratorWeights({}, HandingOn(1))
 
 
@@ -168,3 +176,18 @@ def test_box_around_stays_in_the_frame_and_is_never_thin():
 def test_pixels_inside_are_whole():
     rows, columns = np.nonzero(pixels_inside(Box(1.2, 3.0, 4.0, 2.0), (8, 8)))
     assert (rows.min(), rows.max(), columns.min(), columns.max()) == (2, 4, 3, 4)
+
+
+def test_a_tile_counts_most_in_its_middle() -> None:
+    grey = np.asarray(segment(np.full((256, 96), 0.5, np.float32), GeneratorWeights({}, Rim(1)), closer=0))
+    assert grey[:, [33, 62]].max() < 0.6  # at the side of one tile, in the middle of the other
+    assert grey[:, 0].min() > 0.9
+
+
+def test_where_a_closer_look_is_less_sure_their_mean_is_used() -> None:
+    box = jnp.array([4.0, 4.0, 40.0, 20.0])
+    state = tiled._Seen(jnp.zeros((2, 64, 32)), jnp.full((64, 32), 0.9), box[None], jnp.array([True]))
+    for answer, expected in ((0.5, 0.7), (0.6, 0.75), (1.0, 1.0), (0.0, 0.0)):
+        grey = tiled._paste(state, jnp.full(tiled.PATCH, answer), Box(*box), jnp.array(True)).grey
+        np.testing.assert_allclose(grey[10:30, 8:20], expected, atol=1e-5)
+        np.testing.assert_allclose(grey[50:], 0.9)

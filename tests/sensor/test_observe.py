@@ -17,12 +17,15 @@ from sonarjax.scene import Pose
 from sonarjax.scene.objects import brick
 from sonarjax.sensor import (
     SensorModel,
+    absorption_loss,
+    compress,
     elevation_gain,
     floor_elevation,
     observe,
     observe_scene,
     range_middles,
     received_energy,
+    reference_range,
     with_skirts,
 )
 from sonarjax.sensor.model import FLOOR_HEARD, RANGES, SCALED, SURFACE_HEARD, WIDE
@@ -222,3 +225,35 @@ def test_observe_has_finite_slopes_in_everything(key: jax.Array, severity: float
     slopes = mean_slopes(model, FRAME.intensity, jnp.float32(0.4), key)
     assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(slopes))
     assert float(slopes[0].gain) < 0  # the more room below white, the darker
+
+
+def test_a_full_automatic_gain_takes_a_brighter_frame_for_the_same(key: jax.Array) -> None:
+    model = traced(replace(SensorModel.nominal(0.0), automatic_gain=1.0, noise=0.0))
+    image = np.asarray(look(FRAME, model, key=key))
+    brighter = np.asarray(look(replace(FRAME, intensity=4 * FRAME.intensity), model, key=key))
+    assert image.std() > 0.05
+    np.testing.assert_allclose(brighter, image, atol=1.01 / 255)
+
+
+def test_bounces_have_the_objects_backscatter() -> None:
+    bounces, added = replace(FRAME, intensity=0.1 * FRAME.intensity), []
+    for gain in (0.0, 6.0):  # [dB]
+        model = traced(replace(SensorModel.nominal(0.0), object_gain=gain, streak=0.0))
+        added.append(np.asarray(heard(FRAME, model, bounces)) - np.asarray(heard(FRAME, model)))
+    assert added[1].sum() / added[0].sum() == pytest.approx(10**0.6, rel=1e-3)
+
+
+def test_absorption_that_was_rendered_is_not_counted_twice() -> None:
+    model = traced(replace(SensorModel.nominal(0.0), tvg_absorption=0.0))
+    left = absorption_loss(range_middles(SONAR), 0.8)[:, None]
+    rendered = replace(FRAME, intensity=FRAME.intensity * left, sonar=SONAR.replace(absorption=0.8))
+    np.testing.assert_allclose(heard(rendered, model), heard(FRAME, model), rtol=2e-3, atol=1e-6)
+
+
+def test_noise_is_that_of_the_model_where_the_beam_axis_meets_the_floor(key: jax.Array) -> None:
+    model = replace(SensorModel.nominal(0.0), noise=0.3, automatic_gain=0.0)
+    dark = replace(FRAME, intensity=jnp.zeros(SONAR.shape), highlight=jnp.zeros(SONAR.shape))
+    image = np.asarray(look(dark, traced(model), key=key))
+    row = int(np.abs(np.asarray(range_middles(SONAR)) - float(reference_range(SONAR))).argmin())
+    law = model.gain, model.log_share, model.dynamic_range, model.exponent
+    np.testing.assert_allclose(image[row], float(compress(jnp.float32(0.3), *law)), atol=1.5 / 255)

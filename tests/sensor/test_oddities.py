@@ -109,3 +109,11 @@ def test_each_oddity_alone_changes_a_frame(key: jax.Array) -> None:
     for name in sorted(SELDOM.keys() - {"floor_bounce_once"}):  # a bounce is rendered: test_multipath has it
         changed = replace(SensorModel.nominal(), **{name: (WIDE[name][0] + WIDE[name][1]) / 2})
         assert np.abs(np.asarray(see(jax.tree.map(jnp.float32, changed))) - plain).max() > 0.02, name
+
+
+def test_crests_of_ripples_run_at_right_angles_to_their_direction() -> None:
+    r = np.asarray(range_middles(SONAR))
+    ground = np.sqrt(r**2 - float(SONAR.height) ** 2)[:, None]
+    x, y = ground * np.cos(np.asarray(SONAR.azimuth)), ground * np.sin(np.asarray(SONAR.azimuth))
+    expected = 1 + 0.5 * np.sin(2 * np.pi * (x * math.cos(0.6) + y * math.sin(0.6)) / 0.4)
+    np.testing.assert_allclose(ripple_brightness(SONAR, jnp.asarray(r), 0.5, 0.4, 0.6), expected, atol=1e-3)

@@ -21,7 +21,7 @@ from sonarjax.track import (
     nothing_known,
     numbers_of,
 )
-from sonarjax.track.belief import run_filter
+from sonarjax.track.belief import predicted, run_filter
 from sonarjax.track.measurement import each_of, probability
 from sonarjax.track.smooth import run_smoother
 from tests.track.measurements import STD, Reader, found
@@ -341,3 +341,29 @@ def test_no_probability_exceeds_one():
     (mode,) = modes_of(replace(belief, log_weight=weights))
     assert np.exp(np.asarray(weights, float)).sum() > 1.0, "nothing to see: the test would pass without the limit"
     assert mode.probability == 1.0
+
+
+def test_a_place_drifts_alike_along_both_axes() -> None:
+    tracker = after([found([1.0])], Standing(place_drift=0.02))
+    before, (later,) = best(tracker), tracker.expected(elapsed=4.0)
+    grown = np.diag(later.covariance - before.covariance)
+    assert grown[[1, 2]] == pytest.approx([4 * 0.02**2] * 2, rel=1e-3)
+
+
+def test_an_unknown_rate_parts_the_shared_errors_of_two_aspects() -> None:
+    config, spread = TrackConfig(components=2), 0.05
+    belief = nothing_known(config)
+    belief = replace(belief, covariance=belief.covariance.at[:, 3, 3].set(spread**2))
+    expected = predicted(belief, jnp.zeros(3), jnp.float32(2.0), numbers_of(Turning(), config))
+    np.testing.assert_allclose(expected.transition[:, 4, 4], math.exp(-2 * spread / config.aspect), rtol=1e-4)
+
+
+def test_later_evidence_fades_as_earlier_does() -> None:
+    """One frame that shows two yaws alike, and a later one in which one of them is e times likelier."""
+    both = [1.0, 1.0 + math.pi]
+    tracker = sj.Tracker(Reader(), config=replace(PLAIN, memory=1.0))
+    beliefs = [tracker.take(found(both, scores)).belief for scores in ([0.8, 0.8], [0.8, 0.79])]
+    smoothed = run_smoother(jax.tree.map(lambda *v: jnp.stack(v), *beliefs), tracker.numbers)
+    first, second = modes_of(each_of(smoothed)[0])
+    assert first.yaw == pytest.approx(1.0, abs=1e-3)
+    assert math.log(first.probability / second.probability) == pytest.approx(math.exp(-1), abs=0.02)

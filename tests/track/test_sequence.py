@@ -251,3 +251,31 @@ def test_a_turning_object_is_followed_from_frames(monkeypatch):
     far = recognizer(images[0], threshold=0.0, starts=[sj.Pose(30.0, 5.0, 0.0)])
     assert far.yaw == pytest.approx(alone.yaw, abs=1e-3)
     assert len(far.hypotheses) == len(alone.hypotheses)
+
+
+def test_the_threshold_reaches_the_recognizer() -> None:
+    class Noting(Reader):
+        def __call__(self, image, mask=None, *, semantic=None, threshold=None, starts=()):
+            self.given = threshold
+            return super().__call__(image, mask)
+
+    reader = Noting()
+    sj.Tracker(reader, threshold=0.3)(frame(1.0))
+    assert reader.given == 0.3
+    sj.track([frame(1.0)], reader, threshold=0.2)
+    assert reader.given == 0.2
+
+
+def test_a_frame_is_refined_from_what_is_likely_and_well_known() -> None:
+    def after(*scores: float, motion: sj.Turning | sj.Standing = sj.Standing()) -> sj.Tracker:  # noqa: B008
+        tracker = sj.Tracker(Reader(), motion)
+        tracker.take(found([1.0, 4.0][: len(scores)], scores))
+        return tracker
+
+    def yaws(tracker: sj.Tracker, elapsed: float = 1.0) -> list[float]:
+        return sorted(float(pose.yaw) for pose in tracker._starts(np.zeros(3), elapsed))
+
+    assert yaws(after(0.8, 0.8)) == pytest.approx([1.0, 4.0], abs=1e-3)
+    assert yaws(after(0.8, 0.7)) == pytest.approx([1.0], abs=1e-3)
+    turning = after(0.8, motion=sj.Turning())
+    assert len(yaws(turning)) == 1 and yaws(turning, 20.0) == []
