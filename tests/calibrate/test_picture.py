@@ -68,6 +68,7 @@ def test_no_look_gives_what_is_not_a_number() -> None:
         assert np.isfinite(slope).all(), name
 
 
+@pytest.mark.slow
 def test_the_simulators_mean_energy_is_the_pictures() -> None:
     """With its way to mix object and floor (`rim` 1), its pulse and beams, and none of what is random or leaks."""
     device = replace(SensorModel.nominal(0.0), tvg_exponent=3.0, tvg_absorption=1.0)

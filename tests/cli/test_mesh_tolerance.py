@@ -17,6 +17,7 @@ def fine(tmp_path_factory):
     return path
 
 
+@pytest.mark.slow
 def test_one_line_says_what_was_reduced(command, fine, place, tmp_path):
     rest = ["--sonar", place / "sonar.toml", *HOW]
     code, out, err = command("render", fine, *rest, "--out", tmp_path / "a.npz")

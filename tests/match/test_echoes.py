@@ -54,6 +54,7 @@ def test_a_grey_is_a_power_of_the_energy_over_the_floors() -> None:
     assert np.allclose(found, [6.1**0.25 - 1.1**0.25, 0.0, 0.1**0.25 - 1.1**0.25], atol=2e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.computes
 def test_a_frame_correlates_more_with_them_than_with_semantic_templates(key: jax.Array) -> None:
     """Also the yaw is found, without any segmentation."""

@@ -66,6 +66,7 @@ def test_a_copy_finds_the_same() -> None:
     assert again in [found, again] and again != found
 
 
+@pytest.mark.slow
 def test_a_fan_to_one_side_is_searched_in_its_middle() -> None:
     """The target is seen though the sonar has no beam straight ahead."""
     azimuth = np.radians(np.linspace(8.0, 34.0, 64)).astype(np.float32)
@@ -120,7 +121,7 @@ def test_a_coarse_frame_averages_what_was_measured() -> None:
     np.testing.assert_allclose(small[seen], means[seen], rtol=1e-5)
 
 
-@pytest.mark.parametrize("bearing_deg", [-11.0, 11.0])
+@pytest.mark.parametrize("bearing_deg", [-11.0, pytest.param(11.0, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("compact", "masked"), [(False, False), (True, False), (False, True)])
 def test_an_object_near_a_side_of_the_fan_is_found(compact: bool, masked: bool, bearing_deg: float) -> None:
     """The box of all yaws does not fit between it and the side."""
@@ -161,6 +162,7 @@ def test_the_best_yaw_of_a_round_object_cannot_stand_out() -> None:
     assert 0.1 < rises["pile"][0] < rises["pile"][1]  # shifted, other yaws match better: its own scores leave that out
 
 
+@pytest.mark.slow
 def test_finer_bins_leave_the_own_rise_as_it_is() -> None:
     """The rule decides by it: twice as many bins must not make a pile look like a drum."""
     found = {}

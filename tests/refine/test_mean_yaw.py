@@ -117,6 +117,7 @@ def test_a_pose_that_was_not_refined_keeps_its_yaw(frame: np.ndarray) -> None:
     assert moved.pose.yaw.dtype == np.float32
 
 
+@pytest.mark.slow
 def test_recognize_reports_the_mean_yaw(frame: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
     """The yaw alone moves: place, score and evidence stay those of the best fit."""
     recognizer = sj.Recognizer(CORNER, SONAR, segmenter="none")

@@ -87,6 +87,7 @@ def test_a_leaning_pose_is_found_on_labels(truth, start, frames, size):
     assert (np.asarray(found.score) > np.asarray(found.start_score)).all()
 
 
+@pytest.mark.slow
 def test_standard_deviations_are_those_of_many_noisy_frames(truth, frames, size):
     """White noise on one frame: how the solutions scatter, against what each says of itself."""
     config, image = replace(CONFIG, sharpness=0.0, blurs=(0.5, 0.3)), np.asarray(frames.semantic())[0]

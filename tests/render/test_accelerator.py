@@ -28,7 +28,8 @@ def an_accelerator(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     jax.clear_caches()
 
 
-def test_entry_points_use_plain_jax_there(an_accelerator: None) -> None:
+def test_entry_points_use_plain_jax_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     assert not isinstance(usual_engine(), CpuEngine)
 
 

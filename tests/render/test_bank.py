@@ -70,6 +70,7 @@ def test_templates_are_crops_of_the_frame(brick, bank, index):
     assert np.abs(image[~inside] - 0.5).max() < 0.011  # nothing of the object is cut off
 
 
+@pytest.mark.slow
 def test_a_pipe_seen_along_its_axis():
     """Slabs must end at its edges: else its shadow is smeared over tens of range bins, and the bank's crop grows."""
     vertices, faces = objects.cylinder_arrays(0.055, 0.24, sides=64)

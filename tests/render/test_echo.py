@@ -80,6 +80,7 @@ def test_a_round_body_is_highlight_up_to_the_incidence_limit(limit: float) -> No
     assert float(slope) == pytest.approx((up - down) / 4, rel=0.05)
 
 
+@pytest.mark.slow
 def test_derivative_of_the_echo_by_the_incidence_limit() -> None:
     """Central differences, alone and beside the derivative by yaw."""
 

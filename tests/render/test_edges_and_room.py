@@ -81,7 +81,7 @@ def test_a_closed_object_beside_an_open_one_has_room():
 # ---------------------------------------------------------------- thin surfaces with gaps
 
 
-@pytest.mark.parametrize("rungs", [3, 6, 12])
+@pytest.mark.parametrize("rungs", [*(pytest.param(count, marks=pytest.mark.slow) for count in (3, 12)), 6])
 def test_the_gaps_of_a_ladder_are_lit(rungs):
     """The shadow of upright strips above each other is the union of the shadows of single ones."""
     strips = [STRIP + [0, 0, 0.02 + 0.06 * k] for k in range(rungs)]

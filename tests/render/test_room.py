@@ -53,6 +53,7 @@ def test_upright_objects_keep_their_room():
     assert with_lean_room(mesh, sj.Pose(x=[2.0, 2.5], yaw=[0.1, 3.0]), SONAR) is mesh
 
 
+@pytest.mark.slow
 def test_a_lying_tube_is_refined():
     """Without room, part of the tube is left out of the template, and yaw is more than two degrees off."""
     mesh, sonar = tube(), SONAR.replace(n_ranges=512)

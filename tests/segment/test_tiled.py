@@ -129,7 +129,9 @@ def test_objects_are_those_of_scikit_image():
                 assert tuple(found.bounds[k].tolist()) == part.bbox
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (1, 4), (2, 2), (5, 1)])
+@pytest.mark.parametrize(
+    "shape", [(1, 1), *(pytest.param(shape, marks=pytest.mark.slow) for shape in ((1, 4), (2, 2), (5, 1)))]
+)
 def test_a_frame_of_fewer_pixels_than_closer_looks(shape):
     np.testing.assert_allclose(through(np.full(shape, 0.5, np.float32))[0], 0.5, atol=1e-6)
     found = find_objects(jnp.ones(shape), tiled.CLOSER)

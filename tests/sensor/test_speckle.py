@@ -49,9 +49,9 @@ def test_amplitude_is_rayleigh_and_intensity_exponential(key: jax.Array) -> None
 
 @pytest.mark.parametrize("rows", [1, 2, 3])
 def test_short_frames_have_speckle_of_mean_one(key: jax.Array, rows: int) -> None:
-    field = complex_field((rows, 20_000), key=key)
-    mixed = correlate(field, jnp.eye(20_000), range_kernel(0.25))
-    assert float(speckle_intensity(mixed).mean()) == pytest.approx(1.0, abs=0.03)
+    fields = [complex_field((rows, 200), key=one) for one in jax.random.split(key, 100)]
+    mixed = [correlate(field, jnp.eye(200), range_kernel(0.25)) for field in fields]
+    assert np.mean([speckle_intensity(one) for one in mixed]) == pytest.approx(1.0, abs=0.03)
 
 
 @pytest.mark.parametrize("diffuse", [0.25, 0.7])
