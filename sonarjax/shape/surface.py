@@ -108,9 +108,9 @@ def fit_surface(
 ) -> SurfaceEstimate:
     """Fit the surface of a smooth body to frames of it at known poses.
 
-    This assumes a flat floor, a known sonar, and a body without sharp edges that stays above the floor. Vertices below
-    z = 0 of the mesh's frame are moved up to 0, so put the first guess on z = 0, not around the origin. Parts that no
-    frame shows are bent smoothly along with the parts that frames show.
+    This assumes a flat floor, a known sonar, and a body without sharp edges that stays above the floor: vertices that
+    are below it in a frame are put onto it. Parts that no frame shows are bent smoothly along with the parts that
+    frames show.
 
     Args:
         frames: Grey frames (frame, range, beam).
@@ -158,7 +158,8 @@ def fit_surface(
         costs, slopes = zip(*engine.map(one, prepared), strict=True)
         return np.array([float(c) for c in costs]), np.sum([np.asarray(s, float) for s in slopes], axis=0)
 
-    found, scores, last = _descend(evaluate, vertices, np.asarray(mesh.faces), config, progress)
+    lifted = partial(above_floor, poses=poses)
+    found, scores, last = _descend(evaluate, lifted, vertices, np.asarray(mesh.faces), config, progress)
     return SurfaceEstimate(
         mesh=mesh.with_vertices(jnp.asarray(found, jnp.float32)),
         score=scores,
@@ -182,11 +183,26 @@ def _touched(faces: np.ndarray) -> np.ndarray:
     return np.unique(faces[faces[:, 0] != faces[:, 1]])
 
 
+def above_floor(vertices: Float[np.ndarray, "vertex 3"], poses: Pose) -> Float[np.ndarray, "vertex 3"]:
+    """The vertices of a mesh (vertex, 3) [m], those put onto the floor that are below it at any of the poses (frame,).
+
+    Where poses lean in several ways, one pose after the other.
+    """
+    up, height = np.asarray(poses.rotation(), float)[:, 2], np.asarray(poses.z, float)
+    for *normal, lift in np.unique(np.column_stack([up, height]), axis=0):
+        below = np.maximum(-(vertices @ np.array(normal) + lift), 0.0)
+        vertices = vertices + below[:, None] * np.array(normal)
+    return vertices
+
+
 def _descend(
-    evaluate: Callable[[np.ndarray, float], tuple[np.ndarray, np.ndarray]], begin: np.ndarray, faces: np.ndarray,
-    config: SurfaceConfig, progress: Callable[[str], None],
+    evaluate: Callable[[np.ndarray, float], tuple[np.ndarray, np.ndarray]], lifted: Callable[[np.ndarray], np.ndarray],
+    begin: np.ndarray, faces: np.ndarray, config: SurfaceConfig, progress: Callable[[str], None],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
-    """Adam over smoothed displacements: the vertices (vertex, 3), each step's mean score, each frame's last score."""
+    """Adam over smoothed displacements: the vertices (vertex, 3), each step's mean score, each frame's last score.
+
+    `lifted` puts vertices above the floor.
+    """
     laplacian = uniform_laplacian(faces, len(begin))
     smooth = np.linalg.inv(np.eye(len(begin)) + config.smoothing * laplacian)
     real = begin[_touched(faces)]
@@ -205,8 +221,7 @@ def _descend(
             # Scale all vertices by one length. Scaled one by one, vertices that no frame shows would move as far.
             along = smooth @ np.asarray(step, np.float64)
             along *= float(schedule(number)) / max(np.linalg.norm(along, axis=1).max(), 1e-12)
-            point = point - along
-            point[:, 2] = np.maximum(point[:, 2], 0.0)
+            point = lifted(point - along)
         progress(f"fitted with a blur of {sigma:g} range bins: NCC {scores[-1]:.3f}")
     costs, _ = evaluate(point, config.blurs[-1])
     return point, np.array([*scores, 1 - costs.mean()]), 1 - costs

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +17,17 @@ from sonarjax.render.region import leaning_room
 from sonarjax.scene import objects
 from sonarjax.sensor import SensorModel, observe_scene
 from sonarjax.shape import SurfaceConfig
-from sonarjax.shape.surface import SLACK_M, _begun, _by_vertices, _descend, _Frame, _touched, _window, uniform_laplacian
+from sonarjax.shape.surface import (
+    SLACK_M,
+    _begun,
+    _by_vertices,
+    _descend,
+    _Frame,
+    _touched,
+    _window,
+    above_floor,
+    uniform_laplacian,
+)
 
 SONAR = sj.Sonar.preset("didson-hf", tilt=math.radians(20.0))
 YAWS = np.radians([0.0, 90.0, 180.0, 270.0])
@@ -54,7 +65,7 @@ def test_descent_finds_the_minimum_of_a_known_problem() -> None:
         return np.array([((positions - wanted) ** 2).sum()]), 2 * (positions - wanted)
 
     config = SurfaceConfig(blurs=(2.0, 1.0), iterations=60, step_m=1e-3)
-    found, scores, last = _descend(evaluate, begin, TETRAHEDRON, config, lambda text: None)
+    found, scores, last = _descend(evaluate, lambda at: at, begin, TETRAHEDRON, config, lambda text: None)
     np.testing.assert_allclose(found, wanted, atol=1e-3)
     assert scores[-1] > scores[0] and scores[-1] == pytest.approx(last.mean())
 
@@ -70,8 +81,22 @@ def test_nothing_sinks_into_the_floor() -> None:
         return np.zeros(1), np.ones_like(positions)
 
     begin = np.full((4, 3), 0.003)
-    found, _, _ = _descend(evaluate, begin, TETRAHEDRON, SurfaceConfig(iterations=20), lambda text: None)
+    config, upright = SurfaceConfig(iterations=20), partial(above_floor, poses=sj.Pose(2.2, 0.0, YAWS))
+    found, _, _ = _descend(evaluate, upright, begin, TETRAHEDRON, config, lambda text: None)
     assert found[:, 2].min() == 0.0 and found[:, 0].max() < 0.0
+
+
+def test_the_floor_is_where_the_poses_have_it() -> None:
+    """Of a body that hangs, of one that lies, and of one that stands and lies in turn."""
+    points = np.random.default_rng(0).normal(0, 0.2, (50, 3))
+    hanging, lying = sj.Pose(2.2, 0.0, YAWS, z=0.15), sj.Pose(2.2, 0.0, YAWS, z=0.1, roll=math.pi / 2, pitch=0.2)
+    turned = sj.Pose(2.2, 0.0, 0.3, z=[0.2, 0.1], roll=[0.0, math.pi / 2])
+    for poses in (hanging, lying, turned):
+        lifted = above_floor(points, poses)
+        before, after = (np.asarray(poses.to_ground(jnp.float32(v)))[..., 2] for v in (points, lifted))
+        assert before.min() < -0.1 and after.min() == pytest.approx(0.0, abs=1e-6)
+        above = (before >= 0).all(axis=0)
+        np.testing.assert_array_equal(lifted[above], points[above])
 
 
 @pytest.mark.slow
