@@ -65,6 +65,7 @@ def test_a_name_that_no_result_can_hold_is_refused_at_once(tmp_path):
     assert mesh_files(["Köder.stl"], "MESH") == {"Köder": "Köder.stl"}
 
 
+@pytest.mark.slow
 def test_the_margin_is_the_lead_over_the_runner_up():
     azimuth = np.radians((np.arange(24) - 11.5) * 29 / 24).astype(np.float32)
     sonar = sj.Sonar.preset(

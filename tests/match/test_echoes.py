@@ -70,6 +70,7 @@ def test_a_frame_correlates_more_with_them_than_with_semantic_templates(key: jax
     assert abs(math.remainder(found - float(truth.yaw), 2 * math.pi)) < math.radians(10.0)
 
 
+@pytest.mark.slow
 def test_a_catalogue_keeps_them_small_and_finds_the_same() -> None:
     mesh = sj.objects.brick()
     image = np.asarray(sj.render(mesh, sj.Pose(x=2.3, yaw=0.4), SONAR).semantic())

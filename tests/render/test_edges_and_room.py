@@ -65,6 +65,7 @@ def test_energy_moves_with_upright_edges(lean, lambert, reflectivity, sideways):
 # ---------------------------------------------------------------- closed and open together
 
 
+@pytest.mark.slow
 def test_a_closed_object_beside_an_open_one_has_room():
     """The scene is then open, and the rear triangles of the ball count. Its echo is that of the ball alone."""
     ball, sheet = objects.ball(rings=10, sectors=20), sj.Mesh.from_arrays(STRIP, [[0, 1, 2], [0, 2, 3]])

@@ -71,6 +71,7 @@ def test_what_is_asked_for_is_done(sonar, rough, reduced):
         reduced_for(rough, sonar, -0.001)
 
 
+@pytest.mark.slow
 def test_bank_of_a_rough_body_is_that_of_finer_slabs(sonar, reduced):
     """A bank puts no slabs at a rough body's edges; many even slabs tell what it ought to show."""
     mesh = reduced.mesh

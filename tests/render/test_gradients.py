@@ -38,6 +38,7 @@ SONAR = Sonar.preset("didson-hf", tilt=0.0, height=0.9)
 SMALL = SONAR.replace(azimuth=jnp.asarray(np.radians((np.arange(24) - 11.5) * 29 / 24), jnp.float32), n_ranges=96)
 
 
+@pytest.mark.slow
 def test_an_object_behind_the_sonar_spoils_no_gradient():
     """Nothing of it is seen, and its facets have negative ranges, of which spreading and absorption have none."""
     brick, sonar = objects.brick(), SMALL.replace(tilt=0.35, n_ranges=32)
