@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
+from importlib import metadata
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -47,6 +48,8 @@ where it was measured. JAX's setting JAX_DISABLE_MOST_OPTIMIZATIONS takes preced
 _MEMORY = {-8: 1, -4: 0, -1: 2**31 - 1, -2: 256 * 2**20}
 _CACHE = "jax_compilation_cache_dir"
 _OFF = ("", "0", "false", "no")
+_SETTINGS = "jax_threefry_partitionable", "jax_default_prng_impl", "jax_default_matmul_precision", "jax_enable_x64"
+_LIBRARIES = "jax", "jaxlib", "flax", "jaxopt"
 DIGEST_BYTES = 32
 """Length of the SHA-256 digest at the start of a program's file."""
 
@@ -80,13 +83,12 @@ def enable_compilation_cache() -> Path | None:
     processor, one number of cores and one JAX version. The folder belongs to the user, and may be deleted at any time.
 
     Returns:
-        The folder in use; None if there is no cache.
+        The folder in use; None if there is no cache, or JAX's is not a folder.
     """
-    if os.environ.get("SONARJAX_NO_CACHE", "").lower() not in _OFF:
+    if _no_cache():
         return None
-    chosen = getattr(jax.config, _CACHE)
-    if chosen:
-        return Path(chosen)
+    if getattr(jax.config, _CACHE):
+        return _cache_folder()
     folder = _writable_folder()
     if folder is None:
         return None
@@ -94,6 +96,17 @@ def enable_compilation_cache() -> Path | None:
     if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", MIN_COMPILE_SECONDS)
     return folder
+
+
+def _no_cache() -> bool:
+    """True if the user wants nothing to be stored."""
+    return os.environ.get("SONARJAX_NO_CACHE", "").lower() not in _OFF
+
+
+def _cache_folder() -> Path | None:
+    """The folder of JAX's cache; None if there is none, it is not to be used, or it is elsewhere, as in gs://bucket."""
+    chosen = getattr(jax.config, _CACHE)
+    return Path(chosen) if chosen and "://" not in chosen and not _no_cache() else None
 
 
 def keep_memory() -> bool:
@@ -125,8 +138,8 @@ class CpuEngine(Engine):
         Args:
             folder: Folder of the programs; None means next to the compilation cache, or nowhere if there is no cache.
         """
-        compiled = getattr(jax.config, _CACHE)
-        self._folder = Path(folder) if folder else Path(compiled) / "programs" if compiled else None
+        compiled = _cache_folder()
+        self._folder = Path(folder) if folder else compiled / "programs" if compiled else None
         self._programs: dict[Any, Future[Any]] = {}
         self._lock = threading.Lock()
         self._busy = threading.local()
@@ -177,7 +190,8 @@ class CpuEngine(Engine):
         """The arguments' leaves, and the program for them, made here or by the thread that asked first."""
         leaves, tree = jax.tree.flatten(args)
         leaves = [leaf if hasattr(leaf, "dtype") else np.asarray(leaf, _plain_type(leaf)) for leaf in leaves]
-        key = (function, tree, tuple((v.shape, str(v.dtype)) for v in leaves), tuple(sorted(static.items(), key=_name)))
+        types = tuple((v.shape, str(v.dtype)) for v in leaves)
+        key = (function, tree, types, tuple(sorted(static.items(), key=_name)), _traced_settings())
         with self._lock:
             known = self._programs.get(key)
             program: Future[Any] = known or self._programs.setdefault(key, Future())
@@ -317,10 +331,21 @@ def _digest(function: Any, tree: Any, leaves: list[Any], static: dict[str, Any])
     """A name for one program, from the function, the types of its arguments, and the code and versions behind it."""
     facts = (
         f"{function.__module__}.{function.__qualname__}", str(tree), [(v.shape, str(v.dtype)) for v in leaves],
-        sorted((name, repr(value)) for name, value in static.items()), jax.__version__, _source_digest(),
-        os.environ.get("XLA_FLAGS", ""), jax.default_backend(),
+        sorted((name, repr(value)) for name, value in static.items()), _traced_settings(), _versions(),
+        _source_digest(), os.environ.get("XLA_FLAGS", ""), jax.default_backend(),
     )  # fmt: skip
     return hashlib.sha256(repr(facts).encode()).hexdigest()[:32]
+
+
+def _traced_settings() -> tuple[Any, ...]:
+    """JAX's settings that become part of a program while it is traced."""
+    return tuple(getattr(jax.config, name) for name in _SETTINGS)
+
+
+@cache
+def _versions() -> tuple[str, ...]:
+    """Versions of the libraries whose code becomes part of a program."""
+    return tuple(metadata.version(name) for name in _LIBRARIES)
 
 
 @cache

@@ -18,6 +18,8 @@ import jax, numpy as np, trimesh
 import sonarjax as sj
 from sonarjax.data import FrameSettings, Pairs, PairSettings, export_pairs, make_dataset, make_pairs, split_key
 from sonarjax.io import Frame
+from sonarjax.render import RenderQuality
+from sonarjax.segment import to_grey
 from sonarjax.segment.step import GanConfig
 from sonarjax.segment.training import PRESETS, find_recipe, train
 from sonarjax.sensor import observe_scene
@@ -130,7 +132,18 @@ CASES = {
     "make_pairs('3', key=key)": "count: expected a whole number of 1 or more, got '3'",
     "make_pairs(1, key=3)": f"{KEY}3",
     "make_pairs(1, {}, key=key)": "settings: expected a PairSettings, got ",
-    "split_key('a', 'train')": "run_seed: expected a whole number, got 'a'",
+    "split_key('a', 'train')": "run_seed: expected a whole number from 0 to 4294967295, got 'a'",
+    "split_key(2**32, 'train')": "run_seed: expected a whole number from 0 to 4294967295, got 4294967296",
+    "make_pairs(4, key=key, first=2**32 - 2)": "first: expected pairs with numbers below 4294967296, got up to 4294",
+    "make(key=jax.random.key(0, impl='rbg'))": "key: expected a key of 2 words, as jax.random.key(0) makes, got 4",
+    "sj.segment(im, network.weights, closer=-1)": "closer: expected a whole number of 0 or more, got -1",
+    "sj.segment(im, network.weights, tile=256)": "tile: expected two numbers of pixels (range, beam), got 256",
+    "max(np.ptp(network.semantic(v) - network.semantic(im)) for v in (im.tolist(), im.astype('>f4')))": "no error: 0.0",
+    "sj.segment(im, network.weights, tile=[256, 64]).shape": "no error: (64, 16)",
+    "RenderQuality(np.int64(1), 16).sub_beams.__class__": "no error: <class 'int'>",
+    "to_grey([[255, 0]])": "labels: expected whole numbers: 0 background, 1 highlight, 2 shadow",
+    "to_grey([[-1, 0]])": "labels: expected whole numbers: 0 background, 1 highlight, 2 shadow",
+    "to_grey([[0.5, 1.0]])": "labels: expected whole numbers: 0 background, 1 highlight, 2 shadow",
     "PairSettings(n_ranges=-3)": "n_ranges: expected a whole number of 1 or more, got -3",
     "PairSettings(odd=2.0)": "odd: expected a share from 0 to 1, got 2.0",
     "PairSettings(severity=(2.0, 1.0))": "severity: expected two numbers of 0 or more in order, got ",

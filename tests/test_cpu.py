@@ -61,6 +61,39 @@ def test_it_gives_what_plain_jax_gives_and_is_read_from_disk_the_next_time(tmp_p
     np.testing.assert_array_equal(cpu.CpuEngine(tmp_path).run(powers, x, count=4), wanted)
 
 
+@partial(jax.jit, static_argnames="count")
+def noise(key, *, count):
+    return jax.random.uniform(jax.random.wrap_key_data(key), (count,))
+
+
+noise.__module__ = "sonarjax.noise"
+
+
+def test_a_program_of_other_random_numbers_is_not_used(tmp_path):
+    """Neither of this process nor of an earlier one: how bits are drawn becomes part of the program."""
+    key, engine = jax.random.key_data(jax.random.key(0)), cpu.CpuEngine(tmp_path)
+    for partitionable in (False, True):
+        with jax.threefry_partitionable(partitionable):
+            wanted = np.asarray(PLAIN.run(noise, key, count=8))
+            for each in (engine, cpu.CpuEngine(tmp_path)):
+                np.testing.assert_array_equal(each.run(noise, key, count=8), wanted)
+    assert len(list(tmp_path.glob("*.bin"))) == 2
+
+
+def test_programs_are_stored_nowhere_if_nothing_is_to_be_or_the_cache_is_no_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    before = jax.config.jax_compilation_cache_dir
+    try:
+        jax.config.update("jax_compilation_cache_dir", "gs://bucket/cache")
+        assert cpu.CpuEngine()._folder is None and cpu.enable_compilation_cache() is None
+        jax.config.update("jax_compilation_cache_dir", str(tmp_path))
+        assert cpu.CpuEngine()._folder == tmp_path / "programs"
+        monkeypatch.setenv("SONARJAX_NO_CACHE", "1")
+        assert cpu.CpuEngine()._folder is None and cpu.CpuEngine(tmp_path)._folder == tmp_path
+    finally:
+        jax.config.update("jax_compilation_cache_dir", before)
+
+
 def test_plain_numbers_pass_as_they_do_through_jit(tmp_path):
     found = cpu.CpuEngine(tmp_path).run(powers, 2.0, count=3)
     np.testing.assert_array_equal(found, [1.0, 2.0, 4.0])

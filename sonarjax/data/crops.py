@@ -65,7 +65,8 @@ def draw_box(labels: UInt8[Array, "range beam"], *, key: Array) -> Box:
     top, height = _draw_span((labels > 0).any(axis=1), LEAST[0], kind, stream)
     left, width = _draw_span((labels > 0).any(axis=0), LEAST[1], kind, stream)
     # Kind 1 cuts off part of the shadow, and sometimes part of the object.
-    shorter = jnp.maximum(height * stream.between(0.35, 0.8), LEAST[0])
+    least = min(LEAST[0], labels.shape[0])
+    shorter = jnp.maximum(height * stream.between(0.35, 0.8), least)
     return Box(top, left, jnp.where(kind == 1, shorter, height), width)
 
 

@@ -19,16 +19,20 @@ from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.given import shown
 
 Number = Any  # a float or a traced scalar
+SEEDS = 2**32
+"""Seeds and numbers of frames are below it: JAX's keys have 32 bits of a seed, so that larger ones would repeat."""
 TAIL = 0.5 * (1 - NormalDist().cdf(3.0))  # normal draws stop near three standard deviations, to keep scenes plausible
 
 
 def key_numbers(key: Array) -> UInt32[np.ndarray, "word"]:
-    """Data of one JAX key. Raises SonarjaxError if it is something else."""
-    data = None
+    """Data of one JAX key of JAX's usual kind. Raises SonarjaxError if it is something else."""
+    data, usual = None, jax.random.key_data(jax.random.key(0))
     with contextlib.suppress(TypeError, ValueError):
         data = np.asarray(jax.random.key_data(key))
     if data is None or data.ndim != 1:
         raise SonarjaxError(f"key: expected one JAX key, such as jax.random.key(0), got {shown(key)}")
+    if data.shape != usual.shape:
+        raise SonarjaxError(f"key: expected a key of {usual.size} words, as jax.random.key(0) makes, got {data.size}")
     return data
 
 

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, UInt8
 
 from sonarjax.crops import TRAINING_FRAME, cut_box
 from sonarjax.data.crops import cut_labels, draw_box
-from sonarjax.data.draws import key_numbers
+from sonarjax.data.draws import SEEDS, key_numbers
 from sonarjax.data.materials import draw_reflectivity
 from sonarjax.data.objects import draw_shape
 from sonarjax.data.scenes import render_scenes
@@ -109,10 +109,10 @@ def split_key(run_seed: int, split: str) -> Array:
         A JAX key, for `make_pairs`.
 
     Raises:
-        SonarjaxError: The split is unknown, or the seed no whole number.
+        SonarjaxError: The split is unknown, or the seed no whole number from 0 to 2³² − 1.
     """
-    if not is_whole(run_seed):
-        raise SonarjaxError(f"run_seed: expected a whole number, got {shown(run_seed)}")
+    if not (is_whole(run_seed) and 0 <= run_seed < SEEDS):
+        raise SonarjaxError(f"run_seed: expected a whole number from 0 to {SEEDS - 1}, got {shown(run_seed)}")
     if split not in SPLITS:
         raise SonarjaxError(f"pairs: split: expected one of {', '.join(SPLITS)}, got {split!r}")
     return fold_in(jax.random.key(run_seed), SPLITS[split])
@@ -134,11 +134,13 @@ def make_pairs(
         Images and labels (count, 128, 128).
 
     Raises:
-        SonarjaxError: `count` is no whole number of 1 or more, `first` none of 0 or more, `key` no JAX key, or
-            `settings` something else.
+        SonarjaxError: `count` is no whole number of 1 or more, `first` none of 0 or more, a pair's number 2³² or more,
+            `key` no JAX key, or `settings` something else.
     """
     check_whole(count, 1, "count")
     check_whole(first, 0, "first")
+    if first + count > SEEDS:
+        raise SonarjaxError(f"first: expected pairs with numbers below {SEEDS}, got up to {first + count - 1}")
     check_kind(settings, PairSettings, "settings")
     key_numbers(key)  # raises if it is no key
     check_kind(engine, Engine, "engine")

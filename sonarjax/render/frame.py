@@ -27,9 +27,10 @@ class RenderQuality:
     """
 
     def __post_init__(self) -> None:
-        """Raise a SonarjaxError for what is no whole number of 1 or more."""
-        check_whole(self.sub_beams, 1, "sub_beams")
-        check_whole(self.elevations, 1, "elevations")
+        """Turn numbers into those of Python. Raise a SonarjaxError for what is no whole number of 1 or more."""
+        for name in ("sub_beams", "elevations"):
+            check_whole(getattr(self, name), 1, name)
+            object.__setattr__(self, name, int(getattr(self, name)))  # of NumPy it could not be written as JSON
 
 
 @record

@@ -9,6 +9,9 @@ from jaxtyping import Bool, Float, UInt8
 from skimage.filters import median as median_filter
 from skimage.filters import threshold_multiotsu, threshold_otsu
 
+from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.given import number_array
+
 CLASSICAL = ("none", "otsu", "otsu1", "otsu3", "median-otsu")
 """Names that `threshold_labels` knows."""
 THRESHOLDS = {"none": 0.513, "otsu": 0.594, "otsu1": 0.428, "otsu3": 0.445, "median-otsu": 0.608}
@@ -59,8 +62,14 @@ def to_grey(labels: Any) -> Float[np.ndarray, "*batch range beam"]:
 
     Returns:
         Grey images (range, beam) of the same shape.
+
+    Raises:
+        SonarjaxError: There is something else than these labels.
     """
-    return GREY[np.asarray(labels)]
+    classes = number_array(labels, "labels")
+    if classes.size and not (classes.dtype.kind in "iu" and classes.min() >= 0 and classes.max() <= 2):
+        raise SonarjaxError("labels: expected whole numbers: 0 background, 1 highlight, 2 shadow")
+    return GREY[classes]
 
 
 def from_grey(grey: Any) -> Any:

@@ -17,7 +17,7 @@ from sonarjax.io.given import is_number, shown
 from sonarjax.io.safetensors import read_safetensors
 from sonarjax.segment.classical import CLASSICAL, THRESHOLDS, from_grey, threshold_labels, to_grey
 from sonarjax.segment.rule import RULES, IdentificationRule, read_rule
-from sonarjax.segment.tiled import TILE, check_frame, segment
+from sonarjax.segment.tiled import TILE, check_frame, plain_frame, segment
 from sonarjax.segment.weights import GeneratorWeights, generator_of, shipped_path
 
 NETWORK = "pix2pix"
@@ -65,6 +65,7 @@ class Segmenter:
         """
         check_frame(image, mask)
         if self.weights is not None:
+            image, mask = plain_frame(image, mask)
             return np.array(engine.run(segment, image, self.weights, mask, tile=self.tile))
         return _copied(image) if self.name == "none" else to_grey(threshold_labels(image, self.name, mask))
 

@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float, Int
 from sonarjax.crops import LEAST, PATCH, TRAINING_FRAME, Box, cut_box, paste_patch
 from sonarjax.exact import check_single_precision
 from sonarjax.io.errors import SonarjaxError
-from sonarjax.io.given import check_kind, image_array, number_array
+from sonarjax.io.given import check_kind, check_whole, image_array, is_whole, number_array, several, shown
 from sonarjax.render.frame import BACKGROUND
 from sonarjax.segment.objects import find_objects
 from sonarjax.segment.weights import GeneratorWeights, segment_patch
@@ -73,12 +73,24 @@ def segment(
 
     Raises:
         SonarjaxError: The image is not one frame, a measured pixel is not finite or lies far outside [0, 1], the mask
-            has another shape, `weights` is something else, or JAX is in its 64-bit mode.
+            has another shape, `weights` is something else, `closer` or `tile` are no numbers of objects and pixels, or
+            JAX is in its 64-bit mode.
     """
     check_single_precision()
     check_kind(weights, GeneratorWeights, "weights")
     check_frame(image, mask)
-    return _segment(image, weights, mask, closer=closer, tile=tile)
+    check_whole(closer, 0, "closer")
+    size = several(tile)
+    if size is None or len(size) != 2 or not all(is_whole(n) and n > 0 for n in size):
+        raise SonarjaxError(f"tile: expected two numbers of pixels (range, beam), got {shown(tile)}")
+    image, mask = plain_frame(image, mask)
+    return _segment(image, weights, mask, closer=int(closer), tile=(int(size[0]), int(size[1])))
+
+
+def plain_frame(image: Any, mask: Any) -> tuple[Any, Any]:
+    """A frame and its mask as arrays that JAX takes: lists, and numbers in another byte order, it does not."""
+    image = image if isinstance(image, jax.Array) else np.asarray(image, np.float32)
+    return image, mask if mask is None or isinstance(mask, jax.Array) else np.asarray(mask, bool)
 
 
 def check_frame(image: Any, mask: Any = None) -> None:

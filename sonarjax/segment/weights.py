@@ -6,6 +6,7 @@ network's properties (width, head, skips) are derived from the shapes of its arr
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping
 from functools import partial
@@ -140,14 +141,14 @@ def _module_of(arrays: Mapping[str, np.ndarray], name: str) -> Generator:
     try:
         features = [arrays[f"params.down{n}.kernel"].shape[3] for n in range(1, 8)]
         output, channels = arrays["params.up15.kernel"].shape[2:]
-        width = features[0]
+        width = math.gcd(*features)  # some are no multiples of the first
         multipliers = tuple(f // width for f in features)
         shown = arrays["params.down1.kernel"].shape[2]
         inputs: Inputs = next(name for name, count in CHANNELS.items() if count == shown)
     except (KeyError, IndexError, ValueError, ZeroDivisionError, StopIteration) as error:
         raise SonarjaxError(f"{name}: expected the arrays of a generator (params.down1.kernel and others)") from error
     head: Head = "tanh" if output == 1 else "classes"
-    return Generator(width, head, channels == 2 * width, multipliers, inputs=inputs)
+    return Generator(width, head, channels == 2 * features[0], multipliers, inputs=inputs)
 
 
 def segment_patch(

@@ -61,3 +61,10 @@ def test_boxes_lie_in_the_frame_and_mostly_hold_the_object():
     assert height.min() >= LEAST[0] - 1e-3 and width.min() >= LEAST[1] - 1e-3
     whole = (top <= 90) & (top + height >= 130) & (left <= 20) & (left + width >= 36)
     assert 0.7 < whole.mean() < 0.95
+
+
+def test_boxes_of_short_frames_lie_within_them() -> None:
+    labels = jnp.zeros((32, 64), jnp.uint8).at[5:12, 20:30].set(1).at[12:28, 20:30].set(2)
+    boxes = jax.jit(jax.vmap(lambda key: draw_box(labels, key=key)))(jax.random.split(jax.random.key(0), 200))
+    for start, length, most in ((boxes.top, boxes.rows, 32), (boxes.left, boxes.columns, 64)):
+        assert (np.asarray(start) >= 0).all() and (np.asarray(start + length) <= most + 1e-3).all()

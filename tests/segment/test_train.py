@@ -190,7 +190,7 @@ def test_pairs_of_validation_are_no_pairs_of_training(folder):
     ("changes", "complaint"),
     [
         ({"batch": 0}, "batch: expected a whole number of 1 or more, got 0"),
-        ({"run_seed": -1}, "run_seed: expected a whole number of 0 or more, got -1"),
+        ({"run_seed": -1}, "run_seed: expected a whole number from 0 to 4294967295, got -1"),
         ({"largest_loss": float("nan")}, "largest_loss: expected a number above 0, got nan"),
         ({"pairs": 4}, "at least one batch of 8"),
         ({"discriminative": True}, "networks.head: expected `classes`"),

@@ -61,6 +61,16 @@ def test_what_is_saved_comes_back(options: dict[str, Any], storage: Any, precisi
         np.testing.assert_allclose(one, other, rtol=precision, atol=1e-7)
 
 
+@pytest.mark.parametrize("skips", [True, False])
+def test_widths_that_are_no_multiples_of_the_first_come_back(skips: bool, tmp_path: Path) -> None:
+    network = Generator(2, "classes", skips, (2, 3, 4, 4, 4, 4, 4))
+    variables = draw_variables(network, jnp.zeros((1, 128, 128, 1)), key=jax.random.key(1))
+    save_generator(tmp_path / "m.safetensors", variables, ABOUT)
+    again = load_generator(tmp_path / "m.safetensors")
+    assert again.module == network
+    assert jax.tree.map(jnp.shape, again.variables) == jax.tree.map(jnp.shape, variables)
+
+
 def test_file_is_half_as_large_and_the_same_each_time(saved: Path, tmp_path: Path) -> None:
     count = sum(v.size for v in jax.tree.leaves(drawn().variables))
     assert saved.stat().st_size < 2.5 * count + 10000

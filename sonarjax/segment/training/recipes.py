@@ -13,6 +13,7 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 import numpy as np
 
 from sonarjax.data import PairSettings
+from sonarjax.data.draws import SEEDS
 from sonarjax.data.pairs import PAPER_PAIRS, PAPER_SETTINGS
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.given import check_kind, is_text, is_whole, shown
@@ -44,7 +45,7 @@ Rules = tuple[tuple[str, Callable[[Any], bool], str], ...]
 COUNT, BOOL = "a whole number of 1 or more", "True or False"
 RULES: Rules = (
     ("batch pairs passes sets validation_pairs checkpoint_steps log_steps", _is_count, COUNT),
-    ("run_seed", lambda v: _is_count(v, 0), "a whole number of 0 or more"),
+    ("run_seed", lambda v: _is_count(v, 0) and v < SEEDS, f"a whole number from 0 to {SEEDS - 1}"),
     ("mirrored plain", lambda v: _is_real(v) and 0 <= v <= 1, "a share from 0 to 1"),
     ("largest_loss", lambda v: _is_real(v) and v > 0, "a number above 0"),
     ("name", is_text, "a text"),
