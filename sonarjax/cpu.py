@@ -339,7 +339,7 @@ def _digest(function: Any, tree: Any, leaves: list[Any], static: dict[str, Any])
 
 def _traced_settings() -> tuple[Any, ...]:
     """JAX's settings that become part of a program while it is traced."""
-    return tuple(getattr(jax.config, name) for name in _SETTINGS)
+    return tuple(getattr(jax.config, name, None) for name in _SETTINGS)  # a later JAX may drop one
 
 
 @cache
