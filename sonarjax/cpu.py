@@ -49,7 +49,9 @@ _MEMORY = {-8: 1, -4: 0, -1: 2**31 - 1, -2: 256 * 2**20}
 _CACHE = "jax_compilation_cache_dir"
 _OFF = ("", "0", "false", "no")
 _SETTINGS = "jax_threefry_partitionable", "jax_default_prng_impl", "jax_default_matmul_precision", "jax_enable_x64"
+"""JAX's settings that become part of a program while it is traced."""
 _LIBRARIES = "jax", "jaxlib", "flax", "jaxopt"
+"""Libraries whose code becomes part of a program."""
 DIGEST_BYTES = 32
 """Length of the SHA-256 digest at the start of a program's file."""
 
@@ -338,13 +340,13 @@ def _digest(function: Any, tree: Any, leaves: list[Any], static: dict[str, Any])
 
 
 def _traced_settings() -> tuple[Any, ...]:
-    """JAX's settings that become part of a program while it is traced."""
+    """The values of `_SETTINGS` now."""
     return tuple(getattr(jax.config, name, None) for name in _SETTINGS)  # a later JAX may drop one
 
 
 @cache
 def _versions() -> tuple[str, ...]:
-    """Versions of the libraries whose code becomes part of a program."""
+    """The versions of `_LIBRARIES`."""
     return tuple(metadata.version(name) for name in _LIBRARIES)
 
 

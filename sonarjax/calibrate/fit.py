@@ -18,8 +18,8 @@ from sonarjax.calibrate.picture import make_sampling, measured_mean
 from sonarjax.calibrate.solver import BOUNCE, Fit, Point, Prior, make_prior, solve_jointly
 from sonarjax.engine import Engine
 from sonarjax.refine.template import POSE
-from sonarjax.render import WindowSize, plan_window
-from sonarjax.render.region import image_azimuth, leaning_room
+from sonarjax.render import WindowSize
+from sonarjax.render.region import image_azimuth, plan_window_at
 from sonarjax.scene import Mesh, Pose
 from sonarjax.sonar import Sonar
 
@@ -110,12 +110,8 @@ def fit_frames(
 def _window(job: Job, starts: Sequence[Pose], change: np.ndarray) -> WindowSize:
     """One window size for all frames: all ranges, and the beams that the target may touch."""
     sonar = changed_sonar(job.sonar, job.free, jnp.asarray(change))
-    planned = [
-        plan_window(leaning_room(job.mesh, s.z, abs(s.roll), abs(s.pitch)), sonar, float(np.hypot(s.x, s.y)), SLACK_M)
-        for s in starts
-    ]
-    touched = [size.object_columns for size in planned if size.object_columns is not None]
-    return WindowSize((job.sonar.n_ranges, max(size.shape[1] for size in planned)), max(touched))
+    planned = plan_window_at(job.mesh, sonar, starts, SLACK_M)
+    return WindowSize((job.sonar.n_ranges, planned.shape[1]), planned.object_columns)
 
 
 def _observation(job: Job, frame: Prepared, start: Pose, size: WindowSize, change: np.ndarray) -> Observation:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from sonarjax.render.frame import Window
-from sonarjax.scene import Mesh
+from sonarjax.scene import Mesh, Pose
 from sonarjax.sonar import Sonar
 
 MARGIN_BEAMS, MARGIN_BINS = 3, 12  # around what the object touches at any yaw; wider margins lower the correlation
@@ -187,6 +188,25 @@ def leaning_room(mesh: Mesh, lift: Any, roll: Any, pitch: Any) -> Mesh:
     # `device_put` compiles nothing, unlike `jnp.asarray`.
     wide, high = (v if traced else jax.device_put(np.asarray(v, np.float32)) for v in extent)
     return replace(mesh, radius=wide, top=high)
+
+
+def plan_window_at(mesh: Mesh, sonar: Sonar, poses: Sequence[Pose], slack: float) -> WindowSize:
+    """One window size that holds an object at each of several poses, also where it is lifted or leans. On the host.
+
+    Args:
+        mesh: The object; holds concrete numbers.
+        sonar: The sonar; holds concrete numbers.
+        poses: Single poses [m, rad].
+        slack: How far the object may be from them [m].
+
+    Returns:
+        The largest size over the poses, never more than the frame's.
+    """
+    roomy = [leaning_room(mesh, pose.z, abs(pose.roll), abs(pose.pitch)) for pose in poses]
+    away = [float(np.hypot(pose.x, pose.y)) for pose in poses]
+    shapes = [window_shape(one, sonar, far, slack) for one, far in zip(roomy, away, strict=True)]
+    touched = [object_columns(one, sonar, far, slack) for one, far in zip(roomy, away, strict=True)]
+    return WindowSize((max(rows for rows, _ in shapes), max(columns for _, columns in shapes)), max(touched))
 
 
 def image_azimuth(x: Any, y: Any, sonar: Sonar) -> Any:

@@ -65,7 +65,7 @@ class Segmenter:
         """
         check_frame(image, mask)
         if self.weights is not None:
-            image, mask = plain_frame(image, mask)
+            image, mask = plain_frame(image, mask)  # an engine would take a list for many arguments
             return np.array(engine.run(segment, image, self.weights, mask, tile=self.tile))
         return _copied(image) if self.name == "none" else to_grey(threshold_labels(image, self.name, mask))
 

@@ -48,7 +48,9 @@ class SizeEstimate:
     largest first.
     """
     poses: Pose
-    """The object's pose in each frame (frame,); yaw is not wrapped to [0, 2π)."""
+    """The object's pose in each frame (frame,); yaw is not wrapped to [0, 2π). Where it leans, z is that of the fitted
+    mesh: its lowest point is as high as that of the given mesh was.
+    """
     residual: np.ndarray
     """RMS of each frame's residuals (frame,) where it was measured, divided by the median over all frames."""
     converged: bool

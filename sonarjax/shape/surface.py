@@ -27,8 +27,8 @@ from sonarjax.io.given import check_kind, check_whole, is_number, positive_numbe
 from sonarjax.refine.objective import Problem, box_around, make_blur, misfit
 from sonarjax.refine.solver import Search, best_template
 from sonarjax.refine.template import VIEWS, EchoLaw, Subject, nominal_law, render_layers, semantic_template
-from sonarjax.render import RenderQuality, WindowSize, place_window, plan_window
-from sonarjax.render.region import leaning_room
+from sonarjax.render import RenderQuality, WindowSize, place_window
+from sonarjax.render.region import leaning_room, plan_window_at
 from sonarjax.render.room import with_lean_room
 from sonarjax.scene import Mesh, Pose
 from sonarjax.sonar import Sonar
@@ -170,12 +170,8 @@ def fit_surface(
 
 def _window(mesh: Mesh, sonar: Sonar, starts: Sequence[Pose]) -> WindowSize:
     """One window size for all frames, slightly larger than the first mesh needs at its poses."""
-    planned = [
-        plan_window(leaning_room(mesh, s.z, abs(s.roll), abs(s.pitch)), sonar, float(np.hypot(s.x, s.y)), SLACK_M)
-        for s in starts
-    ]
-    shape = tuple(max(p.shape[axis] for p in planned) for axis in (0, 1))
-    return WindowSize((shape[0], shape[1]), shape[1])
+    shape = plan_window_at(mesh, sonar, starts, SLACK_M).shape
+    return WindowSize(shape, shape[1])
 
 
 def _touched(faces: np.ndarray) -> np.ndarray:
