@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from typing import Any
 
 from sonarjax.cli.frames import start_jax
@@ -23,6 +24,10 @@ def add(commands: Any) -> None:
         "--run-dir", metavar="RUN", required=True,
         help="output folder: checkpoints, TensorBoard events, metrics.jsonl, samples, weights.safetensors",
     )  # fmt: skip
+    command.add_argument(
+        "--weights", metavar="FILE",
+        help="train this network further, instead of a new one: a weights file of the recipe's kind of network",
+    )  # fmt: skip
     command.add_argument("--resume", action="store_true", help="continue from the last checkpoint in RUN, if any")
 
 
@@ -34,12 +39,13 @@ def run(args: argparse.Namespace) -> int:
     """
     start_jax()
     from sonarjax.cpu import keep_memory, usual_engine
-    from sonarjax.segment.training import train
+    from sonarjax.segment.training import find_recipe, train
     from sonarjax.segment.training.devices import join_processes
 
     keep_memory()  # allocating a step's memory anew would take a third of the step
     join_processes()  # before anything asks JAX for its devices, as the choice of an engine does
-    result = train(args.preset, args.run_dir, resume=args.resume, engine=usual_engine())
+    recipe = replace(find_recipe(args.preset), initial_weights=args.weights)
+    result = train(recipe, args.run_dir, resume=args.resume, engine=usual_engine())
     if not result.finished:
         complain(f"stopped after step {result.step}; --resume continues from there", "")
         return 130

@@ -147,6 +147,23 @@ def create_state(config: GanConfig, *, key: Array) -> GanState:
     )
 
 
+def with_generator(state: GanState, variables: Any) -> GanState:
+    """The state before the first step, with a generator that was trained before, which the average begins with too.
+
+    Args:
+        state: A new state.
+        variables: The generator's variables, as `GanState.weights` returns them.
+
+    Returns:
+        The state; it shares no memory with `variables`, since a step donates its state.
+    """
+    (params, stats), (ema, ema_stats) = (
+        (jax.tree.map(jnp.copy, variables["params"]), jax.tree.map(jnp.copy, variables["batch_stats"]))
+        for _ in range(2)
+    )
+    return replace(state, generator=params, batch_stats=stats, ema=ema, ema_stats=ema_stats)
+
+
 @record
 class Gradients:
     """The result of the first half of a step, before the generator is updated; a pytree."""
@@ -218,8 +235,9 @@ def pix2pix_gradients(
     """The gradients of pix2pix. Arguments as in `train_step`, images and maps (batch, height, width, 1).
 
     The generator runs once, with dropout drawn from `key`, and both networks use its maps: first the discriminator is
-    updated, then the generator's gradient is taken against the updated one. The losses are `discriminator`,
-    `adversarial`, `distance`, and `cross_entropy` if it has a weight.
+    updated, then the generator's gradient is taken against the updated one. The losses are `distance`, `discriminator`
+    and `adversarial` unless the adversarial loss has no weight, in which case the discriminator stays as it is, and
+    `cross_entropy` if it has a weight.
     """
     config = state.config
     generate = partial(_generate, config, state.batch_stats, x, key)
@@ -230,16 +248,19 @@ def pix2pix_gradients(
     def loss_of_discriminator(params: Any) -> Array:
         return discriminator_loss(discriminate(y, params), discriminate(made, params))
 
-    lost, discriminator_gradient = jax.value_and_grad(loss_of_discriminator)(state.discriminator)
-    discriminator, discriminator_optimiser = _adam(
-        config, discriminator_gradient, state.discriminator_optimiser, state.discriminator
-    )
+    lost: Losses = {}
+    discriminator, discriminator_optimiser = state.discriminator, state.discriminator_optimiser
+    if config.adversarial:
+        lost["discriminator"], to_lower = jax.value_and_grad(loss_of_discriminator)(discriminator)
+        discriminator, discriminator_optimiser = _adam(config, to_lower, discriminator_optimiser, discriminator)
 
     def answer(grey: Array) -> tuple[Array, Losses]:
-        adversarial = adversarial_loss(discriminate(grey, discriminator), config.saturating)
-        distance = distance_loss(x, y, grey, config.normaliser)
-        total = config.adversarial * adversarial + config.distance * distance
-        return total, {"adversarial": adversarial, "distance": distance}
+        parts = {"distance": distance_loss(x, y, grey, config.normaliser)}
+        total = config.distance * parts["distance"]
+        if config.adversarial:
+            parts["adversarial"] = adversarial_loss(discriminate(grey, discriminator), config.saturating)
+            total = total + config.adversarial * parts["adversarial"]
+        return total, parts
 
     cotangent, losses = jax.grad(answer, has_aux=True)(made)
     (at_output,) = grey_pull_back(cotangent)
@@ -248,7 +269,7 @@ def pix2pix_gradients(
         at_output = at_output + config.cross_entropy * more
         losses["cross_entropy"] = entropy
     (gradient,) = pull_back(at_output)
-    return Gradients(gradient, batch_stats, discriminator, discriminator_optimiser, {"discriminator": lost, **losses})
+    return Gradients(gradient, batch_stats, discriminator, discriminator_optimiser, lost | losses)
 
 
 @jax.jit

@@ -31,7 +31,7 @@ def test_help_names_what_the_contract_lists(command, command_name):
         "render": ("MESH", "--sonar", "--x", "--y", "--yaw-deg", "--out", "--png"),
         "segment": ("FRAME", "--out-dir", "--segmenter"),
         "recognize": ("FRAME", "--target", "--sonar", "--out", "--segmenter", "--no-refine", "--threshold"),
-        "train": ("smoke,cpu,paper", "--run-dir", "--resume"),
+        "train": ("smoke,cpu,paper", "--run-dir", "--weights", "--resume"),
         "info": ("FILE",),
         "export": ("--onnx", "--segmenter"),
         "convert": (

@@ -113,6 +113,20 @@ def test_steps_learn(options: dict[str, Any], rng: np.random.Generator, key: jax
     assert set(seen[0]) == {"discriminator", "adversarial", "distance"} | {"cross_entropy" for _ in options if options}
 
 
+def test_without_adversarial_loss_only_the_generator_is_trained(rng: np.random.Generator, key: jax.Array) -> None:
+    x, y = batch(rng)
+    kept, hardly = (create_state(replace(CONFIG, adversarial=weight), key=key) for weight in (0.0, 1e-9))
+    alone, both = pix2pix_gradients(kept, x, y, key=key), pix2pix_gradients(hardly, x, y, key=key)
+    assert set(alone.losses) == {"distance"}
+    for path, value in jax.tree.leaves_with_path(alone.gradient):
+        there = dict(jax.tree.leaves_with_path(both.gradient))[path]
+        np.testing.assert_allclose(value, there, rtol=1e-3, atol=1e-7, err_msg=str(path))
+    assert all(
+        jax.tree.leaves(jax.tree.map(lambda a, b: bool((a == b).all()), alone.discriminator, kept.discriminator))
+    )
+    assert not np.array_equal(both.discriminator["down1"]["kernel"], hardly.discriminator["down1"]["kernel"])
+
+
 def test_step_is_a_function_of_state_batch_and_key(rng: np.random.Generator, key: jax.Array) -> None:
     x, y = batch(rng)
     one, again, other = (train_step(create_state(CONFIG, key=key), x, y, key=jax.random.key(k))[0] for k in (1, 1, 2))

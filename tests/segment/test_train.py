@@ -15,11 +15,13 @@ from PIL import Image
 
 from sonarjax.data import Pairs, split_key
 from sonarjax.io import SonarjaxError
+from sonarjax.io.safetensors import read_safetensors
 from sonarjax.segment.step import GanConfig, create_state
 from sonarjax.segment.training import PRESETS, Recipe, batches, discriminative, find_recipe, loop, train
 from sonarjax.segment.training.batches import Batches, validation_set
 from sonarjax.segment.training.devices import device_mesh, make_step
 from sonarjax.segment.training.evaluate import predict
+from sonarjax.segment.weights import save_generator
 from tests.segment.training_runs import plain_pairs, recorded, tiny_recipe
 
 SLOW = pytest.mark.slow
@@ -70,6 +72,32 @@ def test_what_another_program_left_is_kept(folder, tmp_path, name, resume):
     with pytest.raises(SonarjaxError, match=f"holds {name} of something else .no config.json.: expected another"):
         train(tiny_recipe(folder), tmp_path, resume=resume)
     assert left.read_text() == '{"epoch": 3}\nfree text\n' and os.listdir(tmp_path) == [name]
+
+
+def test_a_network_is_trained_further(folder, tmp_path):
+    """At a step size of next to nothing the average stays what was given; at the usual one it does not."""
+    given = create_state(tiny_recipe(folder).networks, key=jax.random.key(5)).weights()
+    save_generator(tmp_path / "given.safetensors", given, {}, storage="float32")
+    still = replace(tiny_recipe(folder).networks, learning_rate=1e-12)
+    recipe = tiny_recipe(folder, networks=still, passes=1, initial_weights=tmp_path / "given.safetensors")
+    result = train(recipe, tmp_path / "run")
+    assert result.finished and result.weights is not None
+    arrays, about = read_safetensors(result.weights)
+    assert about["recipe"]["initial_weights"] == str(tmp_path / "given.safetensors")
+    np.testing.assert_allclose(arrays["params.up15.kernel"], given["params"]["up15"]["kernel"], atol=1e-4)
+    other = train(replace(recipe, initial_weights=None), tmp_path / "anew").weights
+    assert np.abs(read_safetensors(other)[0]["params.up15.kernel"] - arrays["params.up15.kernel"]).max() > 1e-2
+
+
+def test_weights_of_another_network_are_refused_before_the_run_begins(folder, tmp_path):
+    given, run = tmp_path / "given.safetensors", tmp_path / "run"
+    networks = replace(tiny_recipe(folder).networks, width=3)
+    save_generator(given, create_state(networks, key=jax.random.key(5)).weights(), {})
+    with pytest.raises(SonarjaxError, match=r"given.*: channels: expected \[2, .*as in the recipe, got \[3, "):
+        train(tiny_recipe(folder, initial_weights=given), run)
+    with pytest.raises(SonarjaxError, match="nowhere"):
+        train(tiny_recipe(folder, initial_weights=tmp_path / "nowhere"), run)
+    assert not run.exists()
 
 
 @pytest.mark.slow

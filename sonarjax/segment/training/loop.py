@@ -23,7 +23,8 @@ from sonarjax.engine import PLAIN, Engine
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.given import check_kind
 from sonarjax.io.outputs import check_folder
-from sonarjax.segment.step import GanState, create_state
+from sonarjax.segment.generator import Generator
+from sonarjax.segment.step import GanState, create_state, with_generator
 from sonarjax.segment.tiled import TILE
 from sonarjax.segment.training.batches import Batches, Stored
 from sonarjax.segment.training.checkpoint import Checkpoints
@@ -42,7 +43,7 @@ from sonarjax.segment.training.journal import Journal
 from sonarjax.segment.training.recipes import Recipe, find_recipe
 from sonarjax.segment.training.run import CHECKPOINTS, WEIGHTS, open_run, versions
 from sonarjax.segment.training.signals import StopWish
-from sonarjax.segment.weights import INPUT, save_generator
+from sonarjax.segment.weights import INPUT, GeneratorWeights, load_generator, save_generator
 
 FIRST_WEIGHTS, DROPOUT = 11, 12  # folded into the seed's key; 1 to 3 are those of pairs
 
@@ -88,33 +89,62 @@ def train(
     check_folder(run_dir, "run_dir")
     join_processes()
     folder = Path(run_dir)
+    first = _initial_weights(recipe)
     with StopWish() as wish, Batches(recipe, engine) as batches:  # a folder of pairs is read before the run begins
         open_run(recipe, folder, resume)
         with Checkpoints(folder / CHECKPOINTS) as checkpoints:
-            return _Run(recipe, folder, checkpoints, batches, wish).finish()
+            return _Run(recipe, folder, checkpoints, batches, wish, first).finish()
+
+
+def _initial_weights(recipe: Recipe) -> GeneratorWeights | None:
+    """The generator that training begins with; None for a random one.
+
+    Raises SonarjaxError if the file cannot be read, or holds a network other than the recipe's.
+    """
+    file = recipe.initial_weights
+    if file is None:
+        return None
+    first = load_generator(file)
+    wanted, got = _properties(recipe.networks.generator()), _properties(first.module)
+    for name, value in wanted.items():
+        if got[name] != value:
+            raise SonarjaxError(f"{os.fspath(file)}: {name}: expected {value}, as in the recipe, got {got[name]}")
+    return first
+
+
+def _properties(network: Generator) -> dict[str, object]:
+    """What two networks must share for the weights of one to fit the other."""
+    channels = [network.width * multiplier for multiplier in network.multipliers]
+    return {"channels": channels, "head": network.head, "skips": network.skips, "inputs": network.inputs}
 
 
 class _Run:
     """One call of `train`: the state of training and the folder where it is kept."""
 
     def __init__(
-        self, recipe: Recipe, folder: Path, checkpoints: Checkpoints, batches: Batches, wish: StopWish
+        self,
+        recipe: Recipe,
+        folder: Path,
+        checkpoints: Checkpoints,
+        batches: Batches,
+        wish: StopWish,
+        first: GeneratorWeights | None,
     ) -> None:
         self.recipe, self.folder, self.checkpoints, self.batches, self.wish = recipe, folder, checkpoints, batches, wish
         self.mesh: Mesh = device_mesh(recipe.batch)
         key = jax.random.key(recipe.run_seed)
         self.dropout = np.asarray(jax.random.key_data(fold_in(key, DROPOUT)))
-        self.state = self._first_state(key)
+        self.state = self._first_state(first, key)
         self.step = int(local_copy(self.state.step))
         self.losses: dict[str, float] = {}
         self.metrics: dict[str, float] = {}
         self.validation: Stored | None = None
 
-    def _first_state(self, key: jax.Array) -> GanState:
+    def _first_state(self, first: GeneratorWeights | None, key: jax.Array) -> GanState:
         state = create_state(self.recipe.networks, key=fold_in(key, FIRST_WEIGHTS))
-        if self.checkpoints.latest is None:
-            return place_state(state, self.mesh)
-        return self.checkpoints.restore(state, copied(self.mesh))
+        if self.checkpoints.latest is not None:
+            return self.checkpoints.restore(state, copied(self.mesh))
+        return place_state(state if first is None else with_generator(state, first.variables), self.mesh)
 
     def finish(self) -> TrainResult:
         """Train up to the last step, or until a stop is requested."""

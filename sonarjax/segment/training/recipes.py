@@ -51,6 +51,7 @@ RULES: Rules = (
     ("name", is_text, "a text"),
     ("discriminative", _is_bool, BOOL),
     ("source", _is_source, "a folder or None"),
+    ("initial_weights", _is_source, "a weights file or None"),
 )
 """Fields of a recipe, what must hold of each, and how that is said."""
 NETWORK_RULES: Rules = (
@@ -125,6 +126,10 @@ class Recipe:
     """
     pair_settings: PairSettings = field(default_factory=PairSettings)
     """How pairs are made."""
+    initial_weights: str | os.PathLike[str] | None = None
+    """Weights file of the generator to begin with, to train it further; None for random weights. The discriminator
+    begins with random ones.
+    """
     source: str | os.PathLike[str] | None = None
     """Folder of pairs (see `import_pairs`) to train on, instead of made ones; its last pairs are for validation."""
     validation_pairs: int = 128
