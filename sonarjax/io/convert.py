@@ -289,6 +289,10 @@ def _to_fan(polar: Frame, out: str, options: FanOptions, axes: PolarAxes | None)
     geometry, shape = fan_around(opening, near, far, pixel)
     _check_size(*shape, " of the frame: give a larger --width")
     picture, seen = polar_to_fan(polar.image, azimuth, edges, geometry, shape, polar.mask)
+    if not seen.any():
+        raise SonarjaxError(
+            f"{polar.source}: {_told(math.degrees(opening), near, far)}: expected a fan that shows its beams"
+        )
     write_png(out, np.where(seen, np.maximum(picture, DARKEST), 0.0))
     _note_mask(polar)
     size = f"{shape[0]} x {shape[1]} pixels"

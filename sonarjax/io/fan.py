@@ -16,7 +16,7 @@ points, because such cells are coarser than what the picture shows, and one poin
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Real, Shaped
@@ -24,7 +24,7 @@ from scipy import ndimage
 
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.fan_geometry import FanGeometry
-from sonarjax.io.given import number_array, shown
+from sonarjax.io.given import is_whole, number_array, several, shown
 from sonarjax.io.npy import PIXEL_LIMIT
 
 LEAST_WEIGHT = 0.01
@@ -84,9 +84,10 @@ def fan_to_polar(
     parts = (1, 1) if order == 0 else _parts_of_cell(geometry, *edges)
     measured = _measured(mask, picture.shape)
     inside = measured & _inside(geometry, picture.shape)
-    image, seen = _sample(picture, inside, _places_in_picture(geometry, edges, parts), (bins, beams), order)
+    cells = _Cells(_middles(range_edges, 1)[0], range_edges), _Cells(azimuth, edges[1])
+    image, seen = _sample(picture, inside, _places_in_picture(geometry, cells, parts), (bins, beams), order)
     if mask is not None:
-        seen &= _at_centres(measured, _places_in_picture(geometry, edges, (1, 1)))
+        seen &= _at_centres(measured, _places_in_picture(geometry, cells, (1, 1)))
     return np.where(seen, image, image.dtype.type(0)), seen
 
 
@@ -129,10 +130,11 @@ def polar_to_fan(
     measured = _measured(mask, image.shape)
     edges = range_edges, _beam_edges(azimuth, geometry.opening)
     parts = (1, 1) if order == 0 else _parts_of_pixel(geometry, *edges)
-    picture, seen = _sample(image, measured, _places_in_image(geometry, shape, edges, parts), (rows, columns), order)
+    cells = _Cells(_middles(range_edges, 1)[0], range_edges), _Cells(azimuth, edges[1])
+    picture, seen = _sample(image, measured, _places_in_image(geometry, shape, cells, parts), (rows, columns), order)
     seen &= _covered(*geometry.places(*_centres(shape)), edges)
     if mask is not None:
-        seen &= _at_centres(measured, _places_in_image(geometry, shape, edges, (1, 1)))
+        seen &= _at_centres(measured, _places_in_image(geometry, shape, cells, (1, 1)))
     return np.where(seen, picture, picture.dtype.type(0)), seen
 
 
@@ -173,11 +175,18 @@ def _sample(
     for rows, columns in places:
         weight += ndimage.map_coordinates(known, [rows, columns], order=min(order, 1), mode="grid-constant")
         at = [np.clip(rows, 0, source.shape[0] - 1), np.clip(columns, 0, source.shape[1] - 1)]
-        total += ndimage.map_coordinates(values, at, order=order, mode="mirror", prefilter=False)
+        total += _interpolated(values, at, order)
         count += 1
     mean = total if order == 0 else np.clip(total / np.float32(count), low, high)
     seen = weight > LEAST_WEIGHT * count
     return np.where(seen, mean, values.dtype.type(0)), seen
+
+
+def _interpolated(values: np.ndarray, at: list[np.ndarray], order: Order) -> np.ndarray:
+    """The values, splines' coefficients for `order` 3, at rows and columns within them."""
+    if order == 0:  # of any type, as scipy's are not
+        return values[tuple(np.floor(place + 0.5).astype(int) for place in at)]
+    return ndimage.map_coordinates(values, at, order=order, mode="mirror", prefilter=False)
 
 
 def _filled(values: np.ndarray, measured: np.ndarray) -> np.ndarray:
@@ -194,11 +203,30 @@ def _polar_shape(geometry: FanGeometry, azimuth: np.ndarray | None, range_edges:
     return bins if range_edges is None else range_edges.size - 1, beams if azimuth is None else azimuth.size
 
 
-def _places_in_picture(geometry: FanGeometry, edges: tuple[np.ndarray, np.ndarray], parts: tuple[int, int]) -> Places:
+class _Cells(NamedTuple):
+    """Cells along one axis of a polar image. The centre of a beam need not lie midway between its edges."""
+
+    centres: np.ndarray
+    """Centre of each cell (cell,), in ascending order."""
+    edges: np.ndarray
+    """Edges between them and at both ends (cell + 1,)."""
+
+    def parts(self, count: int) -> Float[np.ndarray, "part cell"]:
+        """Middles (part, cell) of the equal parts of each cell, or its centre if it is one part."""
+        return self.centres[None] if count == 1 else _middles(self.edges, count)
+
+    def number(self, values: np.ndarray) -> np.ndarray:
+        """Number of the cell in which each value lies, with a fraction that is 0 at the cell's centre."""
+        known = np.empty(2 * self.centres.size + 1)
+        known[::2], known[1::2] = self.edges, self.centres
+        return np.interp(values, known, np.arange(known.size) / 2 - 0.5)
+
+
+def _places_in_picture(geometry: FanGeometry, cells: tuple[_Cells, _Cells], parts: tuple[int, int]) -> Places:
     """Rows and columns, from the first pixel's centre, of the first part of every polar cell, then of each
     further part.
     """
-    ranges, angles = (_middles(one, count) for one, count in zip(edges, parts, strict=True))
+    ranges, angles = (one.parts(count) for one, count in zip(cells, parts, strict=True))
     for at_ranges in ranges:
         for at_angles in angles:
             rows, columns = geometry.pixels(*np.meshgrid(at_ranges, at_angles, indexing="ij"))
@@ -212,18 +240,13 @@ def _middles(edges: np.ndarray, parts: int) -> Float[np.ndarray, "part cell"]:
 
 
 def _places_in_image(
-    geometry: FanGeometry, shape: tuple[int, int], edges: tuple[np.ndarray, np.ndarray], parts: tuple[int, int]
+    geometry: FanGeometry, shape: tuple[int, int], cells: tuple[_Cells, _Cells], parts: tuple[int, int]
 ) -> Places:
     """Bins and beams, from the first cell's centre, of the first part of every pixel, then of each further part."""
     for i in range(parts[0]):
         for j in range(parts[1]):
             ranges, angles = geometry.places(*_centres(shape, (i + 0.5) / parts[0], (j + 0.5) / parts[1]))
-            yield _cell(ranges, edges[0]), _cell(angles, edges[1])
-
-
-def _cell(values: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Number of the cell between `edges` in which each value lies, with a fraction that is 0 at the cell's centre."""
-    return np.interp(values, edges, np.arange(edges.size)) - 0.5
+            yield cells[0].number(ranges), cells[1].number(angles)
 
 
 def _centres(shape: tuple[int, int], down: float = 0.5, right: float = 0.5) -> tuple[np.ndarray, np.ndarray]:
@@ -309,6 +332,8 @@ def _check_axis(name: str, values: np.ndarray, length: int) -> None:
 
 
 def _checked(shape: tuple[int, ...]) -> tuple[int, int]:
+    if len(several(shape) or ()) != 2 or not all(map(is_whole, shape)):
+        raise SonarjaxError(f"fan: shape: expected two whole numbers, got {shown(shape)}")
     rows, columns = shape
     if rows < 1 or columns < 1 or rows * columns > PIXEL_LIMIT:
         raise SonarjaxError(f"fan: shape: expected 1 x 1 to {PIXEL_LIMIT} pixels in total, got {rows} x {columns}")

@@ -18,6 +18,8 @@ MADE_BY = {
     "Mesh": "from Mesh.load(path) or Mesh.from_arrays(vertices, faces)",
     "Pose": "such as Pose(x=2.0, y=0.0, yaw=0.5)",
     "Sonar": "from Sonar.from_toml(path) or Sonar.preset(name)",
+    "FloorPatch": "such as FloorPatch(x=2.0, y=0.0, length=4.0, width=3.0)",
+    "GeometryStd": "such as GeometryStd(tilt=0.02, height=0.01)",
     "GeneratorWeights": "such as load_segmenter().weights",
 }
 """How to make what is expected, by the name of its class: this file imports none of them."""

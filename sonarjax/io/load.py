@@ -12,6 +12,7 @@ from sonarjax.io.didson import didson_records
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.io.files import Content, open_content, read_bytes
 from sonarjax.io.frame import Frame
+from sonarjax.io.given import shown
 from sonarjax.io.images import parse_npy_frame, parse_npz_frame, parse_png_frame
 from sonarjax.io.oculus import oculus_records
 from sonarjax.io.oculus_log import oculus_log_records
@@ -79,8 +80,13 @@ def split_spec(spec: str | os.PathLike[str]) -> Spec:
 
     Returns:
         Path, number of the frame and topic; a part that `spec` does not give is None.
+
+    Raises:
+        SonarjaxError: `spec` is no path.
     """
-    name = os.fspath(spec)
+    name = os.fspath(spec) if isinstance(spec, str | os.PathLike) else None
+    if not isinstance(name, str):
+        raise SonarjaxError(f"frame: expected the name of a file, got {shown(spec)}")
     if os.path.exists(name):
         return Spec(name, None)
     numbered = re.fullmatch(r"(.+):(-?[0-9]{1,18})", name, re.DOTALL)  # below 0 the reader says which there are

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -20,12 +21,14 @@ import trimesh
 from jaxtyping import Array, Bool, Float, Int
 
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.files import reason
 from sonarjax.io.given import is_number, listed, number_array, shown
 from sonarjax.records import record, static
 from sonarjax.scene.limits import check_coordinates, check_face_count
 from sonarjax.scene.mesh_file import check_mesh_file, reading_problem
 from sonarjax.scene.slicing import has_crossing_triangles, most_crossings, most_front
 from sonarjax.scene.text_mesh import check_complete, check_polygons, source_for_trimesh
+from sonarjax.scene.winding import signed_volumes, turn_outward
 
 CREASE_ANGLE = math.radians(20.0)  # an edge that bends more is an edge of the body, not of its tessellation
 MAX_EVENTS = 64
@@ -86,17 +89,12 @@ class Mesh:
         if not isinstance(path, str | os.PathLike):
             raise SonarjaxError(f"path: expected that of a mesh file, got {shown(path)}: Mesh.from_arrays takes arrays")
         path = Path(path)
-        if path.is_dir():
-            raise SonarjaxError(f"{path}: is a folder, expected a mesh file")
-        if not path.is_file():
-            raise SonarjaxError(f"{path}: no such mesh file")
-        if path.stat().st_size == 0:
-            raise SonarjaxError(f"{path}: the mesh file is empty")
+        _check_file(path)
         if unit_m is not None and not (is_number(unit_m) and 0 < unit_m < math.inf):
             expected = "a positive number of metres (0.001 for millimetres)"
             raise SonarjaxError(f"{path}: unit_m must be {expected}, got {shown(unit_m)}")
         vertices, faces, unit = _read_surface(path)
-        scale = unit_m if unit_m is not None else _UNIT_M.get(unit or "", 1.0)
+        scale = unit_m if unit_m is not None else _unit_m(unit, path)
         with np.errstate(over="ignore"):  # `from_arrays` refuses infinite vertices
             vertices = vertices.astype(np.float64) * scale
         return cls.from_arrays(vertices, faces, name=str(path))
@@ -105,7 +103,7 @@ class Mesh:
     def from_arrays(cls, vertices: Any, faces: Any, name: str = "mesh") -> Mesh:
         """Make a mesh from arrays.
 
-        Equal vertices are merged. Unused vertices and triangles of zero area are dropped.
+        Equal vertices are merged. Unused vertices, triangles of zero area and triangles that occur again are dropped.
 
         Args:
             vertices: Vertices (vertex, 3) [m].
@@ -113,7 +111,8 @@ class Mesh:
             name: Name of the mesh in error messages.
 
         Returns:
-            The mesh, padded. It is closed if its triangles enclose a volume; they then all face outwards.
+            The mesh, padded. It is closed if its triangles enclose a volume; they then all face outwards, those of a
+            cavity into it. A closed mesh is seen from outside alone: leave a room around the sonar open.
 
         Raises:
             SonarjaxError: Something else than numbers is given, a shape is wrong, there is no triangle or more than
@@ -129,14 +128,15 @@ class Mesh:
         surface = trimesh.Trimesh(vertices, faces, process=False, validate=False)
         surface.merge_vertices()
         surface.update_faces(surface.nondegenerate_faces())
+        surface.update_faces(surface.unique_faces())  # both sides of a face that was exported as double-sided
         if len(surface.faces) == 0:
             raise SonarjaxError(f"{name}: every triangle has zero area, expected a surface")
         closed = bool(surface.is_watertight)
         if closed:
-            _turn_outward(surface)
+            turn_outward(surface)
         return _padded(surface, closed)
 
-    def with_vertices(self, vertices: Float[Array, "vertex 3"]) -> Mesh:
+    def with_vertices(self, vertices: Float[Array | np.ndarray, "vertex 3"]) -> Mesh:
         """Return the same triangles with other vertex positions, to deform a shape or differentiate by it.
 
         The gradient by the shape is `jax.grad(lambda v: loss(mesh.with_vertices(v)))(mesh.vertices)`. For concrete
@@ -158,14 +158,14 @@ class Mesh:
         if tuple(vertices.shape) != tuple(self.vertices.shape):
             raise SonarjaxError(f"vertices: expected shape {self.vertices.shape}, got {tuple(vertices.shape)}")
         if any(isinstance(v, jax.core.Tracer) for v in (vertices, *jax.tree.leaves(self))):
-            return replace(self, vertices=vertices)
+            return replace(self, vertices=jnp.asarray(vertices))
         self._check_alone("with_vertices")
         positions, faces, closed = np.asarray(vertices, np.float32), np.asarray(self.faces), bool(self.closed)
         if not np.isfinite(positions).all():
             raise SonarjaxError("vertices: hold NaN or infinite values")
         real = faces[:, 0] != faces[:, 1]
         points = positions.astype(np.float64)
-        mirrored = closed and _volumes(points[faces[real]], points.mean(axis=0)).sum() < 0
+        mirrored = closed and signed_volumes(points[faces[real]], points.mean(axis=0)).sum() < 0
         if mirrored:  # else the sonar would see the inside
             faces = np.where(real[:, None], faces[:, ::-1], faces)
         return replace(
@@ -190,7 +190,7 @@ class Mesh:
         vertices = np.asarray(self.vertices)
         low, high = vertices.min(axis=0), vertices.max(axis=0)
         base = np.append((low + high)[:2] / 2, low[2]).astype(np.float32)
-        return self.with_vertices(jax.device_put(vertices - base))
+        return self.with_vertices(vertices - base)  # on the host, where it is measured under `jax.jit` too
 
     def with_room(self, crossings: int, front: int) -> Mesh:
         """Return the same mesh with room for more triangles in a slice and more that face the sonar.
@@ -308,6 +308,29 @@ _UNIT_M = {
 }
 
 
+def _unit_m(unit: str | None, path: Path) -> float:
+    """Length [m] of the unit that trimesh found in a file; metres where it found none."""
+    if unit in (None, "", "none"):
+        return 1.0
+    given = re.fullmatch(r"([0-9.eE+-]+) \* meters", unit)  # as trimesh tells that of COLLADA files
+    if given is None and unit not in _UNIT_M:
+        raise SonarjaxError(f"{path}: holds lengths in {unit!r}, expected a known unit: state its length as unit_m")
+    return _UNIT_M[unit] if given is None else float(given[1])
+
+
+def _check_file(path: Path) -> None:
+    """Raise a SonarjaxError unless this is a file that is not empty."""
+    try:
+        if path.is_dir():
+            raise SonarjaxError(f"{path}: is a folder, expected a mesh file")
+        if not path.is_file():
+            raise SonarjaxError(f"{path}: no such mesh file")
+        if path.stat().st_size == 0:
+            raise SonarjaxError(f"{path}: the mesh file is empty")
+    except OSError as error:
+        raise SonarjaxError(f"{path}: cannot be read: {reason(error)}") from error
+
+
 def _read_surface(path: Path) -> tuple[np.ndarray, np.ndarray, str | None]:
     try:
         check_mesh_file(path)
@@ -360,26 +383,6 @@ def _mentioned(faces: np.ndarray, count: int) -> np.ndarray:
     return kept
 
 
-def _turn_outward(surface: trimesh.Trimesh) -> None:
-    """Wind the triangles of a closed surface so that the normals of each of its bodies point outward, in place.
-
-    trimesh's `fix_normals` does the same body by body, which takes seconds for a scan of 500,000 triangles.
-    """
-    trimesh.repair.fix_winding(surface)
-    body = trimesh.graph.connected_component_labels(surface.face_adjacency, node_count=len(surface.faces))
-    inward = np.bincount(body, weights=_volumes(surface.triangles, surface.centroid))[body] < 0
-    if inward.any():
-        faces = np.array(surface.faces)
-        faces[inward] = faces[inward][:, ::-1]
-        surface.faces = faces
-
-
-def _volumes(triangles: np.ndarray, middle: np.ndarray) -> np.ndarray:
-    """Volumes (triangle,) [m³] between triangles (triangle, 3, 3) [m] and a point; negative if one faces the point."""
-    a, b, c = np.moveaxis(triangles - middle, 1, 0)
-    return (np.cross(a, b) * c).sum(axis=1) / 6
-
-
 def _padded(surface: trimesh.Trimesh, closed: bool) -> Mesh:
     vertices = np.asarray(surface.vertices, np.float32)
     faces = np.asarray(surface.faces, np.int32)
@@ -421,11 +424,12 @@ def _round_up(length: float, step: float = 0.01) -> float:
 
 
 def _crease_vertices(surface: trimesh.Trimesh) -> np.ndarray:
-    """Vertices (event,) at sharp or open edges, in ascending order."""
+    """Vertices (event,) at sharp edges, open ones, and those of three or more triangles, in ascending order."""
     sharp = surface.face_adjacency_edges[surface.face_adjacency_angles > CREASE_ANGLE]
     edges = surface.edges_sorted
-    once = trimesh.grouping.group_rows(edges, require_count=1)
-    return np.unique(np.concatenate([sharp, edges[once]])).astype(np.int32)
+    other = np.ones(len(edges), bool)
+    other[trimesh.grouping.group_rows(edges, require_count=2).reshape(-1)] = False
+    return np.unique(np.concatenate([sharp, edges[other]])).astype(np.int32)
 
 
 def _rounded(bound: int, faces: int) -> int:

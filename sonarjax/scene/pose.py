@@ -90,7 +90,8 @@ class Pose:
 
 def _as_floats(value: Any, name: str) -> Any:
     """A field as an array: on the host in float32, unless it is JAX's, traced or not."""
-    return value if isinstance(value, jnp.ndarray) else np.asarray(number_array(value, f"Pose: {name}"), np.float32)
+    # A copy: on a CPU, JAX would take over the memory of the caller's array, who may change it later.
+    return value if isinstance(value, jnp.ndarray) else np.array(number_array(value, f"Pose: {name}"), np.float32)
 
 
 def _spread_out(value: Any, shape: tuple[int, ...]) -> Any:

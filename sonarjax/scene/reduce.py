@@ -124,7 +124,7 @@ def _fewest_triangles(
     """
     best = None
     # The error grows as triangles are removed, so bisect over the logarithm of their number, in steps of STEP.
-    passes, fails = 0, 1 + math.ceil(math.log(max(len(source[1]) / fewest, 1.0), STEP))
+    passes, fails = 0, 1 + math.floor(math.log(max(len(source[1]) / fewest, 1.0), STEP))
     while fails - passes > 1:
         middle = (passes + fails) // 2
         tried = _collapsed(*source, int(len(source[1]) / STEP**middle))
@@ -144,7 +144,14 @@ def surface_distance(first: Mesh, second: Mesh) -> SurfaceDistance:
 
     Returns:
         The distance [m], in three numbers.
+
+    Raises:
+        SonarjaxError: One is something else, or a batch.
     """
+    for name, mesh in (("first", first), ("second", second)):
+        check_kind(mesh, Mesh, name)
+        if mesh.vertices.ndim != 2:
+            raise SonarjaxError(f"{name}: expected one mesh, got a batch of shape {mesh.vertices.shape[:-2]}")
     return _Surface(*real_arrays(first)).distance(_Surface(*real_arrays(second)))
 
 

@@ -22,8 +22,14 @@ HEADER_BYTES = 4096
 """How much of the start of a file is read to find its header [bytes]."""
 STL_WORDS = (b"solid", b"endsolid", b"facet")
 """What begins a solid, ends it, and begins a triangle."""
-UNUSUAL_FACE = re.compile(rb"^f(?!(?:[ \t]+[0-9][^\s#]*){3}[ \t\r]*$)[ \t]", re.MULTILINE)
-"""A line of an OBJ file whose face is no triangle, has relative numbers, a comment, or goes on in the next line."""
+BOM = b"\xef\xbb\xbf"
+"""What some editors write at the start of a text in UTF-8."""
+UNUSUAL = re.compile(
+    rb"^(?:" + BOM + rb"|[ \t]+[vf][ \t]|v\t|v [^#\n]*#|f(?!(?: +[1-9][^\s#]*){3}[ \r]*$)[ \t])", re.MULTILINE
+)
+"""A line of an OBJ file that trimesh may misread: indented, with tabs or a comment, or a face that is no triangle, has
+numbers below 1, or goes on in the next line.
+"""
 PLY_FACES = ("vertex_index", "vertex_indices")
 """What the list of a face's vertices is called in PLY files."""
 INWARD = -0.05
@@ -31,24 +37,20 @@ INWARD = -0.05
 
 
 def source_for_trimesh(path: Path) -> dict[str, Any]:
-    """What `trimesh.load` is to read: the file, or the text of an OBJ file with absolute vertex numbers.
+    """What `trimesh.load` is to read: the file, or the text of an OBJ file in a form that it reads well.
 
     Raises:
-        SonarjaxError: A face of an OBJ file has fewer than three corners, or is a polygon that is not convex.
+        SonarjaxError: A face of an OBJ file has fewer than three corners or names no vertex, or is a polygon that is
+            not convex.
     """
     if path.suffix.lower() != ".obj":
         return {"file_obj": path}
     text = path.read_bytes()
-    if not UNUSUAL_FACE.search(text):  # the loops below take as long as trimesh
+    if not UNUSUAL.search(text):  # the loops below take as long as trimesh
         return {"file_obj": path}
-    lines = text.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines()
-    faces = [line for line in lines if line.startswith((b"f ", b"f\t"))]
-    relative = any(b" -" in line or b"\t-" in line for line in faces)
-    if relative:
-        lines = list(_absolute(lines))
-        faces = [line for line in lines if line.startswith(b"f ")]
-    _check_obj(path, lines, faces)
-    return {"file_obj": io.BytesIO(b"\n".join(lines)), "file_type": "obj"} if relative else {"file_obj": path}
+    lines = list(_plain(path, text.removeprefix(BOM).replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines()))
+    _check_obj(path, lines)
+    return {"file_obj": io.BytesIO(b"\n".join(lines)), "file_type": "obj"}
 
 
 def check_complete(path: Path, triangles: int) -> None:
@@ -71,21 +73,24 @@ def check_polygons(path: Path, surface: trimesh.Trimesh) -> None:
         _check_convex(path, surface.vertices, _polygons_of_off(path))
 
 
-def _absolute(lines: Sequence[bytes]) -> Iterator[bytes]:
-    """The lines of an OBJ file, with faces of absolute vertex numbers alone: −1 is the last vertex before the line."""
+def _plain(path: Path, lines: Sequence[bytes]) -> Iterator[bytes]:
+    """The lines of an OBJ file without comments, words one space apart, with faces of absolute vertex numbers alone.
+
+    −1 is the last vertex before the line. Raises SonarjaxError for a number that is none of a vertex before the line.
+    """
     vertices = 0
     for line in lines:
-        kind = line.split(None, 1)[0] if line.strip() else b""
-        vertices += kind == b"v"
-        if kind == b"f":
-            numbers = [_number(corner) for corner in _corners(line)]
-            line = b"f " + b" ".join(b"%d" % (n + vertices + 1 if n < 0 else n) for n in numbers)
-        yield line
-
-
-def _corners(face: bytes) -> list[bytes]:
-    """The corners in a face's line, without a comment after them."""
-    return face.split(b"#", 1)[0].split()[1:]
+        words = line.split(b"#", 1)[0].split()
+        vertices += words[:1] == [b"v"]
+        if words[:1] == [b"f"]:
+            numbers = [_number(corner) for corner in words[1:]]
+            if any(n == 0 or n < -vertices for n in numbers):
+                raise SonarjaxError(
+                    f"{path}: face {_shown(line)}: expected numbers of vertices from 1 on, or from -1 back to "
+                    f"{-vertices}, the first vertex"
+                )
+            words[1:] = [b"%d" % (n + vertices + 1 if n < 0 else n) for n in numbers]
+        yield b" ".join(words)
 
 
 def _number(corner: bytes) -> int:
@@ -93,17 +98,17 @@ def _number(corner: bytes) -> int:
     return int(corner.split(b"/", 1)[0])
 
 
-def _check_obj(path: Path, lines: Sequence[bytes], faces: Sequence[bytes]) -> None:
+def _check_obj(path: Path, lines: Sequence[bytes]) -> None:
     """Raise a SonarjaxError for a face with fewer than three corners, or a polygon that is not convex."""
     polygons = []
-    for face in faces:
-        corners = _corners(face)
+    for face in (line for line in lines if line.startswith(b"f ") or line == b"f"):
+        corners = face.split()[1:]
         if len(corners) < 3:
             raise SonarjaxError(f"{path}: face {_shown(face)}: expected three or more corners: truncated or corrupt")
         if len(corners) > 3:
             polygons.append([_number(corner) - 1 for corner in corners])
     if polygons:
-        vertices = np.array([line.split()[1:4] for line in lines if line.startswith((b"v ", b"v\t"))], np.float64)
+        vertices = np.array([line.split()[1:4] for line in lines if line.startswith(b"v ")], np.float64)
         _check_convex(path, vertices, polygons)
 
 

@@ -12,8 +12,9 @@ import jax
 import numpy as np
 
 from sonarjax.io.errors import SonarjaxError
+from sonarjax.io.given import check_kind
 from sonarjax.io.header import RANGE_LIMIT_M
-from sonarjax.sonar.parts import GeometryStd
+from sonarjax.sonar.parts import FloorPatch, GeometryStd
 
 MAX_RANGES = 100_000
 """More range bins than any device stores; a larger number is taken for a mistake."""
@@ -79,18 +80,20 @@ def check_sonar(sonar: S, source: str, names: Mapping[str, str] | None = None) -
     Raises:
         SonarjaxError: A field has the wrong type, is NaN or infinite, or lies outside its limits; azimuths do not
             ascend; a single beam has no width; there are too many pixels; the range window ends before it starts, or
-            has range bins too short for float32; or the aperture reaches past straight down. The message names the
-            first such field.
+            has range bins too short for float32; or the aperture reaches past the nearest point of the floor, which is
+            straight down without roll. The message names the first such field.
     """
     checked: Any = sonar
     names = names or {}
     for rule in _RULES:
         _check_number(getattr(checked, rule.field), rule, source, names.get(rule.field, rule.field))
     if checked.floor is not None:
+        check_kind(checked.floor, FloorPatch, f"{source}: floor")
         for rule in _FLOOR_RULES:
             field = f"floor.{rule.field}"
             _check_number(getattr(checked.floor, rule.field), rule, source, names.get(field, field))
     if checked.geometry_std is not None:
+        check_kind(checked.geometry_std, GeometryStd, f"{source}: geometry_std")
         for rule in _STD_RULES:
             field = f"geometry_std.{rule.field}"
             _check_number(getattr(checked.geometry_std, rule.field), rule, source, names.get(field, field))
@@ -115,7 +118,7 @@ def _check_number(value: Any, rule: _Rule, source: str, name: str) -> None:
     numbers = as_numbers(value)
     if numbers is None or numbers.size == 0:
         raise SonarjaxError(f"{source}: {name} must be a number, got {value!r}")
-    shown = np.round(np.degrees(numbers), 6) if rule.degrees else numbers
+    shown = np.round(np.degrees(numbers), 4) if rule.degrees else numbers  # π/2 in float32 is 90.0000025°
     judged = np.where(np.abs(shown) < SMALLEST, 0.0, shown)
     values = f"{shown.tolist() if shown.ndim else f'{shown.item():g}'}{'°' if rule.degrees else ''}"
     if not (np.isfinite(numbers).all() and np.all(rule.holds(judged))):
@@ -192,4 +195,23 @@ def _check_nadir(sonar: Any, source: str, names: Mapping[str, str]) -> None:
         tilt, aperture = (names.get(field, field) for field in ("tilt", "elevation_aperture"))
         raise SonarjaxError(
             f"{source}: {tilt} plus half of {aperture} must be at most 90° (straight down), got {lowest.max():g}°"
+        )
+    if not _traced(sonar.roll, sonar.azimuth):
+        _check_roll(sonar, source, names)
+
+
+def _check_roll(sonar: Any, source: str, names: Mapping[str, str]) -> None:
+    """With roll a beam's slice meets the floor at right angles above straight down: the same limit in that slice."""
+    tilt, roll, aperture = (
+        np.asarray(getattr(sonar, name), np.float64)[..., None] for name in ("tilt", "roll", "elevation_aperture")
+    )
+    azimuth = np.asarray(sonar.azimuth, np.float64)
+    along = np.sin(tilt) * np.cos(azimuth) - np.cos(tilt) * np.sin(roll) * np.sin(azimuth)
+    most = np.degrees(np.arctan2(np.maximum(np.cos(tilt) * np.cos(roll), 0.0), along))
+    half = np.degrees(aperture) / 2
+    if np.any(half > most + 1e-3):
+        name, limited = (names.get(field, field) for field in ("roll", "elevation_aperture"))
+        raise SonarjaxError(
+            f"{source}: {name}: with it and this tilt, half of {limited} must be at most {np.round(most.min(), 3):g}°, "
+            f"beyond which a beam passes the nearest point of the floor, got {half.max():g}°"
         )

@@ -283,6 +283,10 @@ def test_one_beam_is_as_wide_as_is_told(command, complaint, tmp_path):
         with Image.open(out) as picture:
             assert picture.width == pytest.approx(8 * math.sin(math.radians(10)) / 0.025, abs=1)
         out.unlink()
+    aside = {"azimuth_deg": np.full(1, 20.0), "range_edges_m": np.linspace(1.5, 4.0, 51)}
+    np.savez(tmp_path / "aside.npz", image=image, **aside)
+    said = complaint(2, "convert", tmp_path / "aside.npz", "--opening-deg", 9, "--out", out)
+    assert "opening 9 deg" in said and "expected a fan that shows its beams" in said and not out.exists()
 
 
 @pytest.mark.parametrize(

@@ -126,6 +126,19 @@ def test_uneven_beams_and_bins_equal_a_smooth_field_in_metres():
     assert mask[edges[1:] <= FAR].all() and not mask[edges[:-1] > FAR + 0.02].any()
 
 
+def test_beams_with_gaps_stay_where_they_are():
+    """A picture of the azimuth itself, read at beams of unequal spacing, and such beams shown at pixels."""
+    geometry, shape = fan_around(math.radians(40), NEAR, FAR, 0.01)
+    _, angles = geometry.places(*np.meshgrid(*(np.arange(n) + 0.5 for n in shape), indexing="ij"))
+    azimuth = np.radians([-10.0, -9, -8, 0, 1, 2, 10, 18])
+    read, mask = fan_to_polar(angles.astype(np.float32), geometry, (20, 8), azimuth=azimuth)
+    np.testing.assert_allclose(read[mask], np.broadcast_to(azimuth, read.shape)[mask], atol=math.radians(0.05))
+    image = np.tile(azimuth.astype(np.float32), (20, 1))
+    picture, seen = polar_to_fan(image, azimuth, geometry.range_edges(20), geometry, shape, order=1)
+    inner = seen & (angles > azimuth[0]) & (angles < azimuth[-1])
+    np.testing.assert_allclose(picture[inner], angles[inner], atol=math.radians(0.05))
+
+
 @pytest.mark.parametrize(("kind", "pixel", "most"), [("smooth", 0.011, 0.001), ("speckled", 0.0055, 0.01)])
 def test_round_trip(rng, kind, pixel, most):
     """Within 1 % of full scale; speckle with grains of 2 cells, pixels as small as the finest beam (half a bin)."""
@@ -346,7 +359,7 @@ def test_a_full_circle_may_be_larger_by_rounding():
         fan_around(2 * math.pi * (1 + 1e-6), NEAR, FAR, 0.1)
 
 
-@pytest.mark.parametrize("kind", [np.uint8, bool, np.int32])
+@pytest.mark.parametrize("kind", [np.uint8, bool, np.int32, np.float16, np.longdouble])
 def test_labels_stay_labels(rng, kind):
     blobs = gaussian_filter(rng.standard_normal((BINS, BEAMS)), 6)
     labels = np.digitize(blobs, np.quantile(blobs, [0.6, 0.9])).astype(kind)

@@ -75,7 +75,10 @@ def test_impossible_units(unit, tmp_path):
         Mesh.load(tmp_path / "box.stl", unit_m=unit)
 
 
-@pytest.mark.parametrize(("unit", "scale"), [("mm", 1e-3), ("millimeters", 1e-3), ("inches", 0.0254), (None, 1.0)])
+@pytest.mark.parametrize(
+    ("unit", "scale"),
+    [("mm", 1e-3), ("millimeters", 1e-3), ("inches", 0.0254), ("0.0254 * meters", 0.0254), (None, 1.0)],
+)
 def test_the_units_of_the_file_are_used(unit, scale, tmp_path, monkeypatch):
     solid = trimesh.creation.box((1.0, 2.0, 3.0))
     solid.units = unit
@@ -84,6 +87,9 @@ def test_the_units_of_the_file_are_used(unit, scale, tmp_path, monkeypatch):
     extents = surface(Mesh.load(tmp_path / "box.any")).extents
     np.testing.assert_allclose(extents, np.multiply([1, 2, 3], scale), rtol=1e-5)
     assert surface(Mesh.load(tmp_path / "box.any", unit_m=0.5)).extents[0] == pytest.approx(0.5)  # the caller wins
+    solid.units = "cubits"
+    refused(tmp_path / "box.any", "holds lengths in 'cubits', expected a known unit")
+    assert surface(Mesh.load(tmp_path / "box.any", unit_m=0.5)).extents[0] == pytest.approx(0.5)
 
 
 def test_3mf_is_in_millimetres_by_default(tmp_path):
@@ -185,6 +191,37 @@ def test_relative_vertex_numbers_count_from_the_line_of_their_face(tmp_path):
     text = [line for k, face in enumerate(faces) for line in (*lines[3 * k : 3 * k + 3], face)]
     (tmp_path / "relative.obj").write_text("\n".join(text))
     assert np.allclose(surface(Mesh.load(tmp_path / "relative.obj")).bounds, two_boxes().bounds, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda text: "\ufeff" + text,
+        lambda text: text.replace("v ", "\tv ", 1),
+        lambda text: text.replace(" ", "\t"),
+        lambda text: "".join(f"{line} # {k}\n" for k, line in enumerate(text.splitlines())),
+        lambda text: text.replace("f 1 3 2\n", "f 1 3 \\\n 2\n"),
+    ],
+    ids=["BOM", "indented", "tabs", "comments", "continued"],
+)
+def test_an_obj_is_the_same_surface_however_it_is_written(change, tmp_path):
+    """One vertex more than is used, so that a line that is not read moves the others instead of failing."""
+    corners = [(0, 0, 0), (0.3, 0, 0), (0, 0.2, 0), (0, 0, 0.1), (9, 9, 9)]
+    faces = ["f 1 3 2", "f 1 2 4", "f 2 3 4", "f 3 1 4"]
+    text = "\n".join([*(f"v {x} {y} {z}" for x, y, z in corners), *faces, ""])
+    (tmp_path / "a.obj").write_text(change(text), encoding="utf-8")
+    found = surface(Mesh.load(tmp_path / "a.obj"))
+    assert found.volume == pytest.approx(0.3 * 0.2 * 0.1 / 6, rel=1e-5) and found.bounds[1].max() < 0.31
+
+
+@pytest.mark.parametrize("face", ["f 0 1 2", "f -5 -2 -1"])
+def test_numbers_of_no_vertex_are_refused(face, tmp_path):
+    (tmp_path / "a.obj").write_text(f"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\n{face}\n")
+    refused(tmp_path / "a.obj", f"face '{face}': expected numbers of vertices from 1 on, or from -1 back to -4")
+
+
+def test_a_name_that_no_file_can_have_is_refused():
+    refused("a" * 300 + ".stl", "cannot be read")
 
 
 def test_polygons_are_read_where_a_fan_suits_them(tmp_path):
@@ -290,6 +327,29 @@ def test_normals_of_every_closed_body_point_out():
     assert surface(mesh).volume == pytest.approx(2e-3 + 3e-3, rel=1e-5)
 
 
+@pytest.mark.parametrize("inside_out", [False, True])
+def test_normals_around_a_cavity_point_into_it(inside_out):
+    """A room with thick walls and a box in it; the box inside out is one part of a file that has all bodies right."""
+    outer, inner = trimesh.creation.box((7, 5, 3)), trimesh.creation.box((6.8, 4.8, 2.8))
+    box = trimesh.creation.box((0.3, 0.3, 0.3), trimesh.transformations.translation_matrix([2.0, 1.0, 0.0]))
+    inner.invert()
+    wall, room = 7 * 5 * 3 - 6.8 * 4.8 * 2.8, trimesh.util.concatenate([outer, inner, box])
+    alike = trimesh.util.concatenate([outer, box])  # a part within a housing is no cavity
+    if inside_out:
+        room.invert()
+        alike.invert()
+    for solid, volume in ((room, wall + 0.027), (alike, 7 * 5 * 3 + 0.027)):
+        mesh = Mesh.from_arrays(solid.vertices, solid.faces)
+        assert mesh.closed and surface(mesh).volume == pytest.approx(volume, rel=1e-4)
+
+
+def test_a_face_that_occurs_on_both_sides_counts_once():
+    box = trimesh.creation.box((0.3, 0.2, 0.1))
+    both = Mesh.from_arrays(box.vertices, np.concatenate([box.faces, box.faces[:, ::-1]]))
+    once = Mesh.from_arrays(box.vertices, box.faces)
+    assert both.closed and both.crossings == once.crossings and set(np.asarray(both.crease)) == set(range(8))
+
+
 @pytest.mark.parametrize("count", [1, 7, 8, 9, 12, 13, 50, 300])
 def test_padding_keeps_the_surface(count):
     rng = np.random.default_rng(count)
@@ -312,6 +372,17 @@ def test_creases_are_the_sharp_edges():
     rims = {int(i) for i in objects.concrete_cylinder().crease}
     heights = np.asarray(objects.concrete_cylinder().vertices)[sorted(rims), 2]
     assert np.all(np.isclose(heights, 0.0) | np.isclose(heights, 0.15))
+
+
+def test_the_foot_of_a_fin_on_a_sheet_is_a_crease():
+    """Three triangles meet there, and the sheet is flat; the other vertices are at open edges."""
+    sheet = [[x, y, 0.0] for x in range(3) for y in range(3)]
+    fin = [[1.0, y, 1.0] for y in range(3)]
+    quads = [[0, 3, 4, 1], [1, 4, 5, 2], [3, 6, 7, 4], [4, 7, 8, 5], [3, 4, 10, 9], [4, 5, 11, 10]]
+    faces = [[a, b, c] for a, b, c, _ in quads] + [[a, c, d] for a, _, c, d in quads]
+    mesh = Mesh.from_arrays(sheet + fin, faces)
+    middle = np.flatnonzero((np.asarray(mesh.vertices) == [1, 1, 0]).all(axis=1))[0]
+    assert middle in np.asarray(mesh.crease)
 
 
 # The pytree

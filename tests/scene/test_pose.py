@@ -39,6 +39,16 @@ def test_pose_is_a_pytree_of_six_float32_of_one_shape():
     assert {leaf.dtype for leaf in jax.tree.leaves(batch)} == {jnp.dtype("float32")}
 
 
+def test_a_pose_keeps_its_numbers_when_the_array_it_was_made_from_changes():
+    """JAX takes over memory that is aligned to 64 bytes."""
+    memory = np.zeros(128, np.uint8)
+    start = -memory.ctypes.data % 64
+    x = memory[start : start + 32].view(np.float32)
+    pose = Pose(x=x)
+    x[:] = 9.0
+    np.testing.assert_array_equal(pose.x, np.zeros(8))
+
+
 def test_what_does_not_broadcast_is_refused():
     with pytest.raises(ValueError, match="broadcast"):
         Pose(x=np.zeros(2), yaw=np.zeros(3))

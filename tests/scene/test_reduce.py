@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from sonarjax import SonarjaxError
-from sonarjax.scene import Mesh, reduce, reduce_mesh, surface_distance
+from sonarjax.scene import Mesh, reduce, reduce_mesh, stack_meshes, surface_distance
 
 RADIUS = 0.2
 
@@ -56,6 +56,19 @@ def test_distance_of_balls_one_inside_the_other():
     found = surface_distance(*(Mesh.from_arrays(v.vertices, v.faces, name="ball") for v in shapes))
     assert found.rms == pytest.approx(0.01, rel=0.05)
     assert found.largest == pytest.approx(0.01, rel=0.1)
+
+
+def test_distance_is_that_of_two_single_meshes(ball):
+    with pytest.raises(SonarjaxError, match="second: expected one mesh, got a batch"):
+        surface_distance(ball, stack_meshes([ball, ball]))
+
+
+def test_no_fewer_triangles_than_stated():
+    """Whatever the tolerance, and though steps of `STEP` from 324 triangles do not end at `FEWEST`."""
+    shape = trimesh.creation.icosphere(1, RADIUS).subdivide().subdivide()
+    kept = shape.submesh([np.arange(324)], append=True)
+    found = reduce_mesh(Mesh.from_arrays(kept.vertices, kept.faces), 10.0)
+    assert reduce.FEWEST <= found.after <= 324
 
 
 @pytest.mark.parametrize("tolerance", [0.0, -1.0, float("nan"), float("inf")])

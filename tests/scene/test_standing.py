@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import jax
 import numpy as np
 import pytest
 
@@ -17,6 +18,17 @@ def test_standing_is_the_same_body_elsewhere() -> None:
     np.testing.assert_allclose(moved.vertices, near.vertices, atol=1e-6)
     assert (float(moved.radius), float(moved.top)) == (float(near.radius), float(near.top))
     np.testing.assert_allclose(moved.standing().vertices, moved.vertices, atol=1e-7)
+
+
+def test_what_stands_is_measured_under_jit_too() -> None:
+    mesh = sj.Mesh.from_arrays(*box((0.3, 0.1, 0.2), (1.0, 0.0, 0.7)))
+
+    def measured() -> tuple[jax.Array, jax.Array]:
+        standing = mesh.standing()
+        return standing.top, standing.radius
+
+    assert [float(v) for v in jax.jit(measured)()] == pytest.approx([float(v) for v in measured()])
+    assert float(measured()[0]) == pytest.approx(0.2)
 
 
 def test_a_mesh_of_padding_stands_too() -> None:

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from sonarjax.io.errors import SonarjaxError
 from sonarjax.sonar import PRESETS, FloorPatch, Sonar
@@ -163,3 +164,27 @@ def test_impossible_values(overrides, message):
 def test_check_uses_the_names_it_is_given():
     with pytest.raises(SonarjaxError, match="here: height_m must"):
         check_sonar(Sonar.preset("didson-hf").replace(height=-1.0), "here", {"height": "height_m"})
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_with_roll_the_floor_must_grow_farther_from_the_lowest_elevation_up(seed):
+    """Rays of every beam from its lower to its upper end, turned by SciPy, against what is accepted."""
+    rng = np.random.default_rng(seed)
+    tilt, roll, aperture = rng.uniform([0, -90, 2], [90, 90, 40])
+    sonar = Sonar.preset("didson-hf").replace(
+        tilt=math.radians(tilt), roll=math.radians(roll), elevation_aperture=math.radians(aperture)
+    )
+    azimuth, elevation = np.asarray(sonar.azimuth, np.float64), np.radians(np.linspace(-aperture, aperture, 400)) / 2
+    tau = np.tan(elevation)[:, None]
+    rays = np.stack(np.broadcast_arrays(np.cos(azimuth), np.sin(azimuth), tau), -1) / np.sqrt(1 + tau**2)[..., None]
+    down = -Rotation.from_euler("YX", [tilt, roll], degrees=True).apply(rays.reshape(-1, 3))[:, 2].reshape(400, -1)
+    nearer = (np.diff(down, axis=0) > 1e-7) & (down[1:] > 0)  # a ray higher up that points more steeply down
+    if nearer.any():
+        with pytest.raises(SonarjaxError, match="must be at most"):
+            check_sonar(sonar, "sonar")
+    else:
+        check_sonar(sonar, "sonar")
+
+
+def test_a_right_angle_in_float32_is_one():
+    check_sonar(Sonar.preset("didson-hf", tilt=jnp.radians(-90.0)), "sonar")
