@@ -27,9 +27,9 @@ NOT_RUN, DRAWN = "not run", "drawn"
 ABOUT = """# Figures
 
 The paper's figures, tables and numbers, and our own, drawn from what experiments left in `runs/`: nothing is
-simulated or trained here. This table is written by `python -m paper_figs --index`. Its numbers and pictures are those
-of the runs named at its end. Those from before 2026-11-26 used an earlier network, and tables in docs/ may come from
-newer runs.
+simulated or trained here. This table is written by `python -m paper_figs --index`, which leaves what has no run in
+`runs/` as it was. Its numbers and pictures are those of the runs named at its end. Those from before 2026-11-26 used an
+earlier network, and tables in docs/ may come from newer runs.
 
 ```
 python -m experiments.reproduce_paper    # the experiment that an item needs: see the table
@@ -131,8 +131,7 @@ def rows(runs: Path) -> list[list[str]]:
     table = []
     for script in scripts().values():
         short = f" ({style.SMOKE})" if is_smoke(script, runs) else ""
-        file = script.draw.__module__.removeprefix("paper_figs.")
-        where = [f"`{file}.py`", "<br>".join(f"`{command(one)}`" for one in script.EXPERIMENTS)]
+        where = [f"`{_file_of(script)}.py`", "<br>".join(f"`{command(one)}`" for one in script.EXPERIMENTS)]
         lines: Sequence[Number | None] = numbers(script, runs) or [None]
         for line in lines:
             state = NOT_RUN if missing(script, runs) else DRAWN + short
@@ -158,8 +157,23 @@ def experiments() -> list[str]:
     return list(dict.fromkeys(name for script in scripts().values() for name in script.EXPERIMENTS))
 
 
-def text(runs: Path) -> str:
-    """paper_figs/README.md."""
-    found = [load(runs, name).report for name in experiments() if has_run(runs, name)]
-    made = [[f"`{run['command']}`", run["seed"], run["date"], run["git"] or run["code"]] for run in found]
-    return f"{ABOUT}{markdown(HEAD, rows(runs))}\n\nDrawn from:\n\n{markdown(MADE, made)}\n"
+def text(runs: Path, before: str = "") -> str:
+    """paper_figs/README.md; of items and experiments without a run, what it said `before`."""
+    cells = [line.strip("| ").split(" | ") for line in before.splitlines() if line.startswith("| ")]
+    table, own = [], rows(runs)
+    for script in scripts().values():
+        item = [row for row in own if row[:2] == [script.ITEM, f"`{_file_of(script)}.py`"]]
+        kept = [row for row in cells if len(row) == len(HEAD) and row[:2] == item[0][:2]]
+        table += kept if kept and missing(script, runs) else item
+    made: list[list[Any]] = []
+    for name in experiments():
+        if has_run(runs, name):
+            run = load(runs, name).report
+            made.append([f"`{run['command']}`", run["seed"], run["date"], run["git"] or run["code"]])
+        else:
+            made += [row for row in cells if len(row) == len(MADE) and re.match(rf"`{command(name)}[ `]", row[0])]
+    return f"{ABOUT}{markdown(HEAD, table)}\n\nDrawn from:\n\n{markdown(MADE, made)}\n"
+
+
+def _file_of(script: Script) -> str:
+    return script.draw.__module__.removeprefix("paper_figs.")

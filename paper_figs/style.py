@@ -14,6 +14,7 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
+from sonarjax.io.outputs import make_folder
 from sonarjax.plot import save_figure
 
 ONE_COLUMN, TWO_COLUMNS = 3.5, 7.2
@@ -93,7 +94,7 @@ def mark_smoke(figure: Figure) -> None:
 
 def save(figure: Figure, path: Path, dpi: float = DPI) -> None:
     """Write a figure at its size in print."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(str(path.parent))
     save_figure(figure, path, dpi)
 
 

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import json
 import re
+import signal
+import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -29,6 +31,8 @@ CONNECT_S = 10
 """How long to wait for a scheduler [s]."""
 ADDRESS = re.compile(r"[a-z]+://\S+|\S+:[0-9]+")
 """The address of a scheduler."""
+PATIENCE_S = 10
+"""How often to look whether any workers are left [s]."""
 AHEAD = 2
 """Number of items that are submitted for each thread of the workers."""
 
@@ -44,6 +48,7 @@ class ClusterEngine(CpuEngine):
         """
         super().__init__()
         self.client = client
+        self._noted = False
 
     def threads(self) -> int:
         """Count the threads of all present workers.
@@ -86,7 +91,7 @@ class ClusterEngine(CpuEngine):
             item, future = waiting.popleft()
             for _ in range(DEATHS):
                 try:
-                    done = future.result()
+                    done = self._result(future)
                     break
                 except KilledWorker:  # the scheduler has given the item up, but we try again
                     kept = self.client.submit(_same, shared, pure=False)
@@ -99,6 +104,19 @@ class ClusterEngine(CpuEngine):
             first = False
             waiting.extend(start(one) for one in islice(rest, room))
             yield done
+
+    def _result(self, future: Any) -> Any:
+        """The result of a task; while it waits without any worker, one line says so."""
+        while True:
+            try:
+                return future.result(timeout=None if self._noted else PATIENCE_S)
+            except TimeoutError:
+                if future.done():  # raised by the task itself
+                    raise
+                if not self.client.nthreads():
+                    same = "do workers have the same packages as this machine?"
+                    complain(f"--cluster: no workers are left: waiting for one ({same})", kind="")
+                    self._noted = True
 
 
 def _same(value: Any) -> Any:
@@ -149,12 +167,11 @@ def connect(address: str) -> Iterator[ClusterEngine]:
         {"distributed.scheduler.allowed-failures": DEATHS, "distributed.logging.distributed": "error"}
     ):
         if match:
-            with (
-                LocalCluster(
+            with _deaf_to_interrupts():
+                cluster = LocalCluster(
                     n_workers=workers, threads_per_worker=1, dashboard_address=None, memory_limit=0, silence_logs=50
-                ) as cluster,
-                Client(cluster) as client,
-            ):
+                )
+            with cluster, Client(cluster) as client:
                 yield ClusterEngine(client)
             return
         scheduler = _address_in(address) if address.endswith(".json") else address
@@ -166,6 +183,22 @@ def connect(address: str) -> Iterator[ClusterEngine]:
             if not client.nthreads():
                 complain("--cluster: the scheduler has no workers yet: waiting for the first", kind="")
             yield ClusterEngine(client)
+
+
+@contextmanager
+def _deaf_to_interrupts() -> Iterator[None]:
+    """Ignore Ctrl-C here, and in processes that are started meanwhile: a terminal sends it to them as well.
+
+    Workers would each print a traceback; the cluster ends them.
+    """
+    if threading.current_thread() is not threading.main_thread():  # where no signal can be ignored
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _address_in(path: str) -> str:

@@ -61,7 +61,7 @@ class Now:
         self.running += 1
         self.most = max(self.most, self.running)
 
-        def result():
+        def result(timeout=None):
             if self.failures and len(args) > 1:
                 self.failures -= 1
                 raise distributed.KilledWorker("task", SimpleNamespace(address="tcp://nowhere"), 4)
@@ -148,14 +148,25 @@ def test_killed_workers_cost_nothing_but_time():
 
 
 @pytest.mark.slow
-def test_a_scheduler_is_found_by_its_file_and_without_workers_one_line_says_so(tmp_path, capsys):
+def test_a_scheduler_is_found_by_its_file_and_without_workers_one_line_says_so(tmp_path, capsys, monkeypatch):
+    def tell(message, kind):
+        if "no workers are left" in message:
+            raise SonarjaxError(message)
+
     with connect("local:1") as engine:
         cluster, (worker,) = engine.client.cluster, engine.client.nthreads()
         engine.client.write_scheduler_file(str(tmp_path / "scheduler.json"))
         with connect(str(tmp_path / "scheduler.json")) as other:
             assert list(other.stream(stumble, -1, range(3))) == [0, 1, 2]
         assert capsys.readouterr().err == ""
+        assert {*engine.client.run(signal.getsignal, signal.SIGINT).values()} == {signal.SIG_IGN}
         engine.client.retire_workers([worker])
+        with connect(cluster.scheduler_address) as other, pytest.raises(SonarjaxError, match="no workers are left"):
+            monkeypatch.setattr("sonarjax.cluster.PATIENCE_S", 0.2)
+            monkeypatch.setattr("sonarjax.cluster.complain", tell)
+            list(other.stream(stumble, -1, range(3)))
+        monkeypatch.undo()
+        capsys.readouterr()
         with connect(cluster.scheduler_address):
             assert "has no workers yet: waiting for the first" in capsys.readouterr().err
 

@@ -151,6 +151,38 @@ def test_seeds_that_were_done_before_an_interruption_are_not_measured_again(tmp_
     assert len(measured) == 13
 
 
+def test_an_interruption_before_the_first_part_is_one(tmp_path: Path):
+    measured: list[int] = []
+
+    def at_once(options: Options, job: Job) -> dict[str, Any]:
+        measured.append(job.seed)
+        if measured == [4, 5]:
+            raise KeyboardInterrupt
+        return {"rows": [{"name": "a", "value": 1.0}]}
+
+    with pytest.raises(SystemExit):
+        start(tmp_path, "--seeds", "4", "5", run=at_once)
+    assert len(start(tmp_path, "--seeds", "4", "5", run=at_once)) == 2
+    assert measured == [4, 5, 5]
+
+
+def test_a_reader_that_has_gone_and_a_folder_that_is_a_file_are_no_tracebacks(tmp_path: Path):
+    def broken(report: dict[str, Any]) -> str:
+        raise BrokenPipeError
+
+    with pytest.raises(SystemExit) as left:
+        launch(run, Options, broken, smoke={"count": 1}, arguments=("--runs", str(tmp_path)))
+    assert left.value.code == 141
+    (tmp_path / "file").touch()
+    with pytest.raises(SystemExit, match="cannot be used as a folder"):
+        start(tmp_path / "file")
+
+
+@pytest.mark.parametrize("written", [["--runs", "/a b/c"], ["--runs=/a b/c"]])
+def test_the_command_that_is_kept_names_no_folder_of_results(written: list[str]):
+    assert runs._command(["--count=4", *written, "--seeds", "2"]).endswith(" --count 4 --seeds 2")
+
+
 @pytest.mark.parametrize("seed", ["-1", "1000", "1.5"])
 def test_seeds_are_not_those_of_validation_frames(seed: str, capsys: pytest.CaptureFixture[str]):
     with pytest.raises(SystemExit):

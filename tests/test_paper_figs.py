@@ -396,6 +396,34 @@ def test_a_missing_run_is_one_clear_line(tmp_path: Path, capsys: pytest.CaptureF
     assert "fig08: not run: python -m experiments.reproduce_paper" in capsys.readouterr().out
 
 
+def test_an_item_that_cannot_be_drawn_costs_no_other_and_no_report(
+    tmp_path: Path, rng: np.random.Generator, capsys: pytest.CaptureFixture[str]
+) -> None:
+    make_bench(tmp_path)
+    finish(tmp_path, SEVERITY, {"settings": {"vary": "severity"}, "rows": [{"value": 1.0}]})
+    out, page = tmp_path / "out", tmp_path / "new" / "report.html"
+    assert main(["--all", "--report", str(page), "--runs", str(tmp_path), "--out", str(out)]) == 1
+    said = capsys.readouterr()
+    assert f"run python -m experiments.{SEVERITY} again" in said.err and (out / "sec32.png").exists() and page.exists()
+
+
+def test_an_output_folder_that_is_a_file_is_one_clear_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    make_bench(tmp_path)
+    (tmp_path / "file").touch()
+    for words in (["sec32", "--out", str(tmp_path / "file")], ["--report", str(tmp_path / "file" / "r.html")]):
+        assert main([*words, "--runs", str(tmp_path)]) == 1
+        assert "cannot be used as a folder for output" in capsys.readouterr().err
+
+
+def test_the_index_keeps_what_has_no_run(runs: Path, tmp_path: Path) -> None:
+    full = index.text(runs)
+    assert index.text(tmp_path, full) == full
+    make_bench(tmp_path)
+    again = index.text(tmp_path, full)
+    changed = [line for line in again.splitlines() if line not in full.splitlines()]
+    assert len(again.splitlines()) == len(full.splitlines()) and all("bench_train" in line for line in changed)
+
+
 def test_a_run_of_other_code_is_one_clear_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     finish(tmp_path, SEVERITY, {"settings": {"vary": "severity"}, "rows": [{"value": 1.0}]})
     assert main(["ext06", "--runs", str(tmp_path), "--out", str(tmp_path)]) == 1

@@ -25,7 +25,7 @@ from experiments.common.share import Work, measured_seeds, shared_parts
 from sonarjax.cluster import connect
 from sonarjax.cpu import tune
 from sonarjax.engine import Engine
-from sonarjax.io import SonarjaxError
+from sonarjax.io import SonarjaxError, silence_stdout
 
 Report = dict[str, Any]
 Run = Callable[[Any, Job], Report]
@@ -46,7 +46,7 @@ def launch(
     """Run an experiment from its command line: `run(settings, job)` for each seed, `table(report)` to the terminal.
 
     `smoke` are the settings of `--preset smoke`. Leaves by SystemExit: 2 for arguments, 1 for a SonarjaxError, 130 when
-    interrupted. Of Skipped, `--preset smoke` leaves a line that says so, and 0.
+    interrupted, 141 when nobody reads stdout any more. Of Skipped, `--preset smoke` leaves a line that says so, and 0.
     """
     module = inspect.getmodule(run)
     assert module is not None and module.__file__ is not None
@@ -68,6 +68,8 @@ def launch(
             for job, report in zip(jobs, _reports(run, chosen, jobs, facts, engine, work), strict=True):
                 reports.append(report)
                 print(f"\n{table(report)}\n\n{job.folder}: {report['seconds']:.0f} s", flush=True)
+        if len(reports) > 1:
+            _print_spread(reports, common.seeds, table)
     except Skipped as error:
         if common.preset != "smoke":
             raise SystemExit(f"{name}: {error}") from error
@@ -77,10 +79,17 @@ def launch(
     except KeyboardInterrupt:
         print(f"{name}: interrupted; run the same command again to continue", file=sys.stderr)
         raise SystemExit(130) from None
-    if len(reports) > 1:
-        print(f"\nmean of seeds {', '.join(map(str, common.seeds))}\n{table(combined(reports, _mean))}")
-        print(f"\nlargest deviation from this mean\n{table(combined(reports, _deviation))}")
+    except BrokenPipeError:  # whoever read the tables has gone
+        silence_stdout()
+        raise SystemExit(141) from None
     return reports
+
+
+def _print_spread(reports: Sequence[Report], seeds: Sequence[int], table: Callable[[Report], str]) -> None:
+    """The mean over the seeds, and how far they are from it."""
+    print(f"\nmean of seeds {', '.join(map(str, seeds))}\n{table(combined(reports, _mean))}")
+    about = "largest deviation from this mean; whole numbers that are the same in all seeds stand as they are"
+    print(f"\n{about}\n{table(combined(reports, _deviation))}", flush=True)
 
 
 def _reports(
@@ -92,6 +101,9 @@ def _reports(
     """
     interrupted = any(job.begun for job in jobs)
     kept = {job.seed: job.finished if interrupted else None for job in jobs}
+    for job in jobs:
+        if kept[job.seed]:
+            job.drop_parts()
     left = [job.seed for job in jobs if not kept[job.seed]]
     elsewhere = measured_seeds(engine, work, left) if engine and len(jobs) > 1 else None
     for job in jobs:
@@ -132,7 +144,9 @@ def parse(
 
     With them `changed`: the options that were given another value than the preset's.
     """
-    parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=about, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False
+    )
     parser.add_argument("--preset", choices=("full", "smoke"), default="full", help="smoke: a test run of seconds")
     seeds = f"root seeds below {VALIDATION_SEED}, one run each (default: 0)"
     parser.add_argument("--seeds", type=_seed, nargs="+", default=[0], help=seeds)

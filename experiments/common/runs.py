@@ -29,6 +29,7 @@ import sonarjax as sj
 from experiments.common.progress import Progress
 from sonarjax.io import SonarjaxError, write_atomic, write_npz, write_text
 from sonarjax.io.jsonlines import JsonLines, plain
+from sonarjax.io.outputs import make_folder
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS, PARTS = "results.json", "parts.jsonl"
@@ -51,14 +52,12 @@ class Job:
         `files_digest`: parts that were measured with other files are forgotten too.
         """
         self.folder, self.seed, self._share, self._read = folder, seed, share, read
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(str(folder))
         self._path = folder / PARTS
-        self._done = self._taken_up()
-
-    @property
-    def begun(self) -> bool:
-        """Whether the same code was interrupted in this run."""
-        return bool(self._done)
+        taken_up = self._taken_up()
+        self.begun = taken_up is not None
+        """Whether the same code was interrupted in this run, if only before its first part was measured."""
+        self._done = taken_up or {}
 
     @property
     def finished(self) -> dict[str, Any] | None:
@@ -117,9 +116,14 @@ class Job:
     def finish(self, report: Mapping[str, Any]) -> None:
         """Write the results; the parts have served."""
         write_text(self.folder / RESULTS, json.dumps(plain({**report, "read": self._read}), indent=1) + "\n")
+        self.drop_parts()
+
+    def drop_parts(self) -> None:
+        """Remove the file of parts, without which the run counts as finished."""
         self._path.unlink(missing_ok=True)
 
-    def _taken_up(self) -> dict[str, Any]:
+    def _taken_up(self) -> dict[str, Any] | None:
+        """The parts of an interrupted run of the same code; None if there was none."""
         lines = self._path.read_text(encoding="utf-8").splitlines() if self._path.exists() else []
         records = [record for record in map(_record, lines) if record]
         if records and records[0] == self._origin:
@@ -127,7 +131,7 @@ class Job:
         self._path.unlink(missing_ok=True)
         with JsonLines(self._path) as file:
             file.write(self._origin)
-        return {}
+        return None
 
     @property
     def _origin(self) -> dict[str, Any]:
@@ -254,9 +258,10 @@ def circumstances() -> dict[str, Any]:
 
 def _command(arguments: list[str]) -> str:
     """What was typed, but for the folder of the results: it says nothing of them and everything of a machine."""
-    at = arguments.index("--runs") if "--runs" in arguments else len(arguments)
+    apart = [word for one in arguments for word in (one.split("=", 1) if one.startswith("--") else [one])]
+    at = apart.index("--runs") if "--runs" in apart else len(apart)
     name = getattr(sys.modules["__main__"].__spec__, "name", "?")
-    return f"python -m {shlex.join([name, *arguments[:at], *arguments[at + 2 :]])}"
+    return f"python -m {shlex.join([name, *apart[:at], *apart[at + 2 :]])}"
 
 
 def git_hash() -> str | None:

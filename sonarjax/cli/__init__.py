@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from sonarjax.cli import calibrate, convert, dataset, export, info, recognize, render, segment, train
 from sonarjax.cli.arguments import Parser
 from sonarjax.io import SonarjaxError, complain, silence_stdout
+from sonarjax.io.console import open_closed_streams
 
 __all__ = ["main"]
 
@@ -32,6 +33,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         Exit code: 0 done, 1 a frame could not be read or used, 2 the input could not be used, 130 interrupted, 141 the
         program that read the output has gone.
     """
+    open_closed_streams()
     try:
         args = _parser().parse_args(argv)
     except SystemExit as stop:  # --help, or arguments that cannot be used

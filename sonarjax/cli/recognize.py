@@ -60,7 +60,8 @@ def run(args: argparse.Namespace) -> int:
     if args.motion is not None and not args.track:
         raise SonarjaxError("--motion: can only be used with --track")
     files = mesh_files(args.target, "--target")
-    check_outputs({"--out": args.out}, (*args.frames, *files.values(), args.sonar, args.segmenter))
+    inputs = (*args.frames, *files.values(), args.sonar, args.segmenter)
+    check_outputs({"--out": args.out}, inputs, appended=("--out",))
     if args.track and len(files) > 1:
         raise SonarjaxError(f"--track: expected a single --target, got {len(files)} meshes")
     start_jax()

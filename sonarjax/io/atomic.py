@@ -42,6 +42,7 @@ def write_atomic(path: PathLike, writer: Writer) -> None:
     Raises:
         SonarjaxError: The file cannot be written, the path is a folder, or it contains NUL. What was at `path` is then
             unchanged.
+        BrokenPipeError: `path` is a pipe that nobody reads any more.
     """
     name = os.fspath(path)
     if "\0" in name:
@@ -52,12 +53,21 @@ def write_atomic(path: PathLike, writer: Writer) -> None:
             raise SonarjaxError(f"{name}: expected a file to write, this is a folder")
         # By the given name: the path of /dev/stdout, a link, does not exist where stdout is a pipe.
         if os.path.exists(name) and not stat.S_ISREG(os.stat(name).st_mode):
-            with open(name, "wb") as file:
-                writer(file)
+            _write_to_device(name, writer)
         else:
             _write_aside(target, writer)
+    except BrokenPipeError:
+        raise
     except OSError as error:
         raise SonarjaxError(f"{name}: cannot be written: {reason(error)}") from error
+
+
+def _write_to_device(name: str, writer: Writer) -> None:
+    """Write all at once: a device is written from front to back, while a ZIP archive is filled out of order."""
+    content = io.BytesIO()
+    writer(content)
+    with open(name, "wb") as file:
+        file.write(content.getbuffer())
 
 
 def _write_aside(target: Path, writer: Writer) -> None:

@@ -9,6 +9,20 @@ import sys
 from sonarjax.io.errors import SonarjaxError
 
 
+def open_closed_streams() -> None:
+    """Connect stdin, stdout and stderr to the null device where they were closed, as in some daemons.
+
+    Python has None for such a stream, and its number goes to the next file that is opened, into which a library's own
+    messages would then be written.
+    """
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        if getattr(sys, name) is None:
+            nowhere = os.open(os.devnull, os.O_RDWR)  # the lowest free number, which is most often the stream's own
+            with contextlib.suppress(OSError):
+                os.set_inheritable(nowhere, nowhere == number)
+            setattr(sys, name, open(nowhere, "r" if number == 0 else "w", encoding="utf-8", closefd=False))  # noqa: SIM115
+
+
 def complain(message: str, kind: str = "error: ") -> None:
     """Print a message on stderr as one line, even if it contains line breaks.
 
@@ -19,6 +33,8 @@ def complain(message: str, kind: str = "error: ") -> None:
         kind: What stands before it in the line.
     """
     line = f"sonarjax: {kind}{' '.join(message.split())}"
+    if sys.stderr is None:
+        return
     with contextlib.suppress(OSError, ValueError):  # stderr may be closed
         if sys.stderr.isatty() and "tqdm" in sys.modules:
             sys.modules["tqdm"].tqdm.write(line, file=sys.stderr)  # above the progress bar
@@ -27,7 +43,7 @@ def complain(message: str, kind: str = "error: ") -> None:
 
 
 def say(text: str) -> None:
-    """Print a text to stdout at once.
+    """Print a text to stdout at once; a closed stdout is ignored.
 
     Args:
         text: Text to print. Characters that stdout cannot encode are printed as backslash escapes.
@@ -36,6 +52,8 @@ def say(text: str) -> None:
         SonarjaxError: The text cannot be written.
         BrokenPipeError: Nobody reads stdout any more.
     """
+    if sys.stdout is None:
+        return
     encoding = sys.stdout.encoding or "utf-8"
     try:
         print(

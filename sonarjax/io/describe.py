@@ -56,9 +56,10 @@ def _first(spec: str | os.PathLike[str], path: str, index: int | None) -> dict[s
 
 def _frame(frame: Frame) -> dict[str, Any]:
     image = frame.image
+    measured = image if frame.mask is None else image[frame.mask]
     lines: dict[str, Any] = {
         "image": f"{image.shape[0]} range bins x {image.shape[1]} beams, "
-        f"values {image.min():.3f} to {image.max():.3f}, mean {image.mean():.3f}",
+        f"values {measured.min():.3f} to {measured.max():.3f}, mean {measured.mean():.3f}",
         "mask": "none" if frame.mask is None else f"{frame.mask.mean():.1%} of the pixels measured",
     }
     return lines | (_geometry(frame.geometry) if frame.geometry else {"geometry": "not in the file"}) | frame.meta

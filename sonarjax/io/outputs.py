@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from sonarjax.io.load import RECORDINGS, Spec, split_spec
 from sonarjax.io.ros import is_bag
 
 
-def check_outputs(outputs: Mapping[str, str | None], inputs: Iterable[str]) -> None:
+def check_outputs(outputs: Mapping[str, str | None], inputs: Iterable[str], appended: Container[str] = ()) -> None:
     """Check, before anything is computed, that every output can be a file and replaces no input or other output.
 
     Its folder must exist, because to write it may come minutes later. Nor may it lie in the folder of a bag that is
@@ -24,6 +24,7 @@ def check_outputs(outputs: Mapping[str, str | None], inputs: Iterable[str]) -> N
     Args:
         outputs: Command-line option -> path that was given for it; None if it was not given.
         inputs: Paths, or frames as `path:N`.
+        appended: Options whose files are appended to where they exist, while the others are replaced.
 
     Raises:
         SonarjaxError: An output is empty, a folder, or in a folder that does not exist or may not be written in; or it
@@ -32,7 +33,7 @@ def check_outputs(outputs: Mapping[str, str | None], inputs: Iterable[str]) -> N
     given = [(option, path) for option, path in outputs.items() if path is not None]
     sources = [split_spec(spec).path for spec in inputs]
     for number, (option, path) in enumerate(given):
-        _check_file(option, path)
+        _check_file(option, path, option in appended)
         for source in sources:
             if same_file(path, source):
                 raise SonarjaxError(f"{option}: {path!r} would overwrite the input {source!r}: expected another file")
@@ -43,17 +44,19 @@ def check_outputs(outputs: Mapping[str, str | None], inputs: Iterable[str]) -> N
                 raise SonarjaxError(f"{option}: {path!r} is also {other}: expected another file")
 
 
-def _check_file(option: str, path: str) -> None:
+def _check_file(option: str, path: str, appended: bool) -> None:
     """Raise a SonarjaxError if a file could not be written at `path` because of its name or its folder."""
     folder = os.path.dirname(path) or "."
+    into = os.path.dirname(os.path.realpath(path))
     if not path:
         raise SonarjaxError(f"{option}: expected the name of a file, got ''")
     if os.path.isdir(path):
         raise SonarjaxError(f"{option}: {path!r}: expected a file, this is a folder")
-    if not os.path.isdir(folder):
-        raise SonarjaxError(f"{option}: {path!r} cannot be written: expected a folder that exists, got {folder!r}")
-    # A file is replaced, so the folder that holds it counts, links followed.
-    place = path if _is_device(path) else os.path.dirname(os.path.realpath(path))
+    for one in (folder,) if _is_device(path) else (folder, into):  # a link may point to a folder that is not there
+        if not os.path.isdir(one):
+            raise SonarjaxError(f"{option}: {path!r} cannot be written: expected a folder that exists, got {one!r}")
+    # To replace a file is to change its folder, links followed.
+    place = path if _is_device(path) or (appended and os.path.exists(path)) else into
     if not os.access(place, os.W_OK):
         raise SonarjaxError(f"{option}: {path!r} cannot be written: no permission to write to {place!r}")
 
@@ -61,7 +64,7 @@ def _check_file(option: str, path: str) -> None:
 def check_ending(option: str, path: str | None, endings: Sequence[str]) -> None:
     """Check that the name of an output ends as files of its format do.
 
-    A device such as /dev/null may have any name.
+    A device such as /dev/null may have any name, and so may /dev/stdout, whatever it is connected to.
 
     Args:
         option: The command-line option.
@@ -71,7 +74,7 @@ def check_ending(option: str, path: str | None, endings: Sequence[str]) -> None:
     Raises:
         SonarjaxError: The name ends otherwise.
     """
-    if path is None or path.lower().endswith(tuple(endings)) or _is_device(path):
+    if path is None or path.lower().endswith(tuple(endings)) or _is_device(path) or path == "/dev/stdout":
         return
     raise SonarjaxError(f"{option}: {path!r}: expected a name that ends in {' or '.join(endings)}")
 

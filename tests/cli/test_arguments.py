@@ -1,6 +1,7 @@
 """Arguments: help without what only one command needs, one line for each mistake, and a stdout that may fail."""
 
 import os
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -128,6 +129,18 @@ def test_a_reader_that_left_is_no_error(place):
     )
     result = process("-c", code, stderr=subprocess.PIPE)
     assert (result.returncode, result.stderr) == (141, "")
+
+
+@pytest.mark.parametrize("closed", [(0,), (1,), (2,), (0, 1, 2)])
+def test_closed_streams_are_ignored(place, tmp_path, closed):
+    """As a daemon closes them, before Python starts."""
+    out = tmp_path / "labels"
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "SONARJAX_NO_CACHE": "1"}
+    for frame, code in (("a.npz", 0), ("none.npz", 1)):
+        words = [sys.executable, "-m", "sonarjax", "segment", place / frame, "--segmenter", "otsu", "--out-dir", out]
+        line = f"{shlex.join(map(str, words))} {' '.join(f'{number}>&-' for number in closed)}"
+        assert subprocess.run(line, shell=True, env=environment, timeout=120, check=False).returncode == code
+    assert [path.name for path in out.iterdir()] == ["labels_a.npz"]
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs /dev/full")

@@ -381,6 +381,12 @@ def test_info_tells_what_a_file_holds(command, place, tmp_path):
         assert word in out
 
 
+def test_info_tells_of_measured_pixels_alone(command, tmp_path):
+    mask = np.arange(12).reshape(4, 3) < 6
+    np.savez(tmp_path / "half.npz", image=np.where(mask, 0.5, np.nan), mask=mask)
+    assert "4 range bins x 3 beams, values 0.500 to 0.500, mean 0.500\n" in command("info", tmp_path / "half.npz")[1]
+
+
 def test_info_tells_how_weights_were_trained(command, complaint, tmp_path):
     path = tmp_path / "w.safetensors"
     about = {"step": 16, "recipe": {"name": "smoke", "networks": {"width": 4}}, "metrics": {"iou_mean": 0.25}}

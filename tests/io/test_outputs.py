@@ -73,7 +73,7 @@ def test_outputs_that_are_fine():
 
 
 def test_ending_of_an_output():
-    for name in ("a.npz", "b.NPZ", "/dev/null", None):
+    for name in ("a.npz", "b.NPZ", "/dev/null", "/dev/stdout", None):
         check_ending("--out", name, (".npz",))
     for name in ("a.png", "npz", "a.npz/", "sub"):
         with pytest.raises(SonarjaxError, match=f"--out: '{name}': expected a name that ends in .npz or .npy"):
@@ -144,3 +144,15 @@ def test_a_folder_that_may_not_be_written_in_is_refused_before_anything_runs(tmp
             check_outputs({"--out": str(path)}, [])
     for path in (tmp_path / "r.jsonl", locked / "out_of.jsonl"):  # a link is followed
         check_outputs({"--out": str(path)}, [])
+    (locked / "old.jsonl").touch()  # it may be appended to, but not replaced
+    check_outputs({"--out": str(locked / "old.jsonl")}, [], appended=("--out",))
+    with pytest.raises(SonarjaxError, match=r"no permission to write to .*locked"):
+        check_outputs({"--out": str(locked / "old.jsonl")}, [])
+    with pytest.raises(SonarjaxError, match=r"no permission to write to .*locked"):
+        check_outputs({"--out": str(locked / "new.jsonl")}, [], appended=("--out",))
+
+
+def test_a_link_to_a_folder_that_is_not_there_is_refused_as_such(tmp_path):
+    (tmp_path / "a.npz").symlink_to(tmp_path / "nowhere" / "a.npz")
+    with pytest.raises(SonarjaxError, match=r"expected a folder that exists, got .*nowhere'"):
+        check_outputs({"--out": str(tmp_path / "a.npz")}, [])

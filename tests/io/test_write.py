@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+import threading
 from functools import partial
 
 import numpy as np
@@ -122,6 +123,32 @@ def test_a_full_device(tmp_path):
     with JsonLines("/dev/full") as lines, pytest.raises(SonarjaxError, match="No space left"):
         lines.write({"a": 1})
     assert os.path.exists("/dev/full")
+
+
+def test_devices_and_pipes_take_an_archive(tmp_path):
+    """An archive is filled out of order, and /dev/null claims that this is possible."""
+    write_npz(os.devnull, image=np.eye(3))
+    write_npz(tmp_path / "a.npz", image=np.eye(3))
+    os.mkfifo(tmp_path / "pipe")
+    found = []
+    reader = threading.Thread(target=lambda: found.append((tmp_path / "pipe").read_bytes()))
+    reader.start()
+    write_npz(tmp_path / "pipe", image=np.eye(3))
+    reader.join(60)
+    assert found == [(tmp_path / "a.npz").read_bytes()]
+
+
+@pytest.mark.skipif(not os.path.isdir("/dev/fd"), reason="no /dev/fd")
+def test_a_pipe_that_nobody_reads_is_told_apart_from_a_file_that_cannot_be_written():
+    read, write = os.pipe()
+    try:
+        write_text(f"/dev/fd/{write}", "a")
+        assert os.read(read, 10) == b"a"
+        os.close(read)
+        with pytest.raises(BrokenPipeError):
+            write_text(f"/dev/fd/{write}", "b")
+    finally:
+        os.close(write)
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/stdout"), reason="no /dev/stdout")
