@@ -9,14 +9,12 @@ and has the CPU alone. The last column is how far the results of the two sides a
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -126,10 +124,7 @@ PARTS = {"networks": networks, "rendering": rendering, "refinement": refinement}
 
 
 def one_part() -> None:
-    """What a process that `measured` starts does: a line of JSON for each work, and its results, in a folder.
-
-    Only one process at a time times something; the others of its side compile meanwhile.
-    """
+    """What a process that `measured` starts does: a line of JSON for each work, and its results, in a folder."""
     import jax
 
     from sonarjax.cpu import keep_memory, tune
@@ -138,16 +133,14 @@ def one_part() -> None:
     if jax.default_backend() == "cpu":
         tune()
         keep_memory()
-    with open(folder / f"{part}.jsonl", "w", encoding="utf-8") as lines, open(folder / "lock", "a") as lock:
+    with open(folder / f"{part}.jsonl", "w", encoding="utf-8") as lines:
         print(json.dumps({"device": jax.devices()[0].device_kind, "backend": jax.default_backend()}), file=lines)
         for number, (what, count, call) in enumerate(PARTS[part](settings)):
             result, seconds = call(), []
-            fcntl.flock(lock, fcntl.LOCK_EX)
             for _ in range(settings.repeats):
                 started = time.perf_counter()
                 result = call()
                 seconds.append(time.perf_counter() - started)
-            fcntl.flock(lock, fcntl.LOCK_UN)
             if result is not None:
                 np.save(folder / f"{part}{number}.npy", result)
             row = {"what": what, "milliseconds": 1e3 * min(seconds) / count, "results": f"{part}{number}.npy"}
@@ -166,9 +159,7 @@ def measured(side: str, settings: Settings, folder: Path) -> tuple[dict[str, str
             raise SonarjaxError(f"{side}, {part}: {done.stderr[-2000:]}")
         return [json.loads(line) for line in (folder / f"{part}.jsonl").read_text(encoding="utf-8").splitlines()]
 
-    # On a CPU, what is compiled would slow down what is timed.
-    with ThreadPoolExecutor(1 if side == CPU else len(PARTS)) as pool:
-        found = list(pool.map(measure, PARTS))
+    found = [measure(part) for part in PARTS]  # one after another: each has the device to itself
     return found[0][0], [row for rows in found for row in rows[1:]]
 
 

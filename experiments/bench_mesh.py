@@ -15,6 +15,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -146,11 +147,14 @@ def _timed(work: Callable[[], Any]) -> tuple[float, Any]:
 
 
 def _bank_times(mesh: Mesh, reduced: Mesh, sonar: Sonar, settings: Settings) -> dict[str, Any]:
-    """Milliseconds of a bank: ours of the reduced mesh, Embree's of the full one."""
+    """Milliseconds of a bank: ours of the reduced mesh, Embree's of the full one, both within our templates' box."""
     yaws = np.arange(settings.views) * (2 * np.pi / settings.views)
-    sides = {OURS: lambda: np.asarray(template_bank(reduced, sonar, yaws, x=X_M, engine=engine()).templates)}
+    render = partial(template_bank, reduced, sonar, yaws, x=X_M, engine=engine())
+    sides = {OURS: lambda: np.asarray(render().templates)}
     if settings.peer:
-        peer = Embree(mesh, sonar, settings.elevations)
+        bank = render()
+        row, column = np.asarray(bank.offset).tolist()
+        peer = Embree(mesh, sonar, settings.elevations, (row, column, *bank.templates.shape[1:]))
         sides[TURNED] = lambda: peer.turned_rays(X_M, yaws)
     seconds, _ = time_all(sides, settings.rounds)
     embree = seconds.get(TURNED)

@@ -91,7 +91,7 @@ def run(settings: Settings, job: Job) -> Report:
     sonars = {
         "guessed": guess,
         "fitted": guess.replace(tilt=fit["tilt"], height=fit["height"]),
-        "of the folder": data.sonar,
+        "of the folder": data.sonar.replace(highlight_max_incidence=usual),  # so that only the geometry differs
     }
     judged = job.map(partial(_judge, settings, data, masks), sonars, "geometries")
     rows = [{"geometry": name} | {k: v for k, v in row.items() if k != "error_deg"} for name, row in judged.items()]

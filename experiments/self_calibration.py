@@ -144,16 +144,17 @@ def _middle(sonar: sj.Sonar) -> float:
 
 
 def _summary(found: Sequence[dict[str, Any]], name: str) -> dict[str, Any]:
+    """A number's errors where it is determined; elsewhere it keeps its nominal value, which says nothing of the fit."""
     title, unit = SHOWN[name]
-    signed = unit * np.array([one["error"][name] for one in found])
+    told = [one for one in found if one["determined"][name]]
+    row = {"name": "drawn", "count": len(found), "number": title, "determined": len(told) / len(found)}
+    if not told:
+        return row | dict.fromkeys(("mean", "median", "p90", "within_1", "bound"))
+    signed, std, bound = (unit * np.array([one[key][name] for one in told]) for key in ("error", "std", "bound"))
     error = np.abs(signed)
-    std = unit * np.array([one["std"][name] for one in found])
-    return {
-        "name": "drawn", "count": len(found), "number": title, "mean": float(signed.mean()),
-        "median": float(np.median(error)), "p90": float(np.percentile(error, 90)),
-        "within_1": float((error <= std).mean()),
-        "bound": unit * float(np.median([one["bound"][name] for one in found])),
-        "determined": float(np.mean([one["determined"][name] for one in found])),
+    return row | {
+        "mean": float(signed.mean()), "median": float(np.median(error)), "p90": float(np.percentile(error, 90)),
+        "within_1": float((error <= std).mean()), "bound": float(np.median(bound)),
     }  # fmt: skip
 
 

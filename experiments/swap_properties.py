@@ -119,7 +119,8 @@ def _frame(
     names = list(scenes())
     scene, rest = names[number % len(names)], number // len(names)
     shown, tilt = shown_in(scene, rest), tilts_deg[rest // 4 % len(tilts_deg)]
-    draws = np.asarray(jax.random.uniform(jax.random.fold_in(key, 1), (3,)), float)
+    # Not `fold_in(key, 1)`, whose draws are the poses of frames to which the rule was fitted.
+    draws = np.asarray(jax.random.uniform(jax.random.fold_in(key, 11), (3,)), float)
     pose = sj.Pose(GROUND_RANGE_M[tilt] + 0.2 * draws[0] - 0.1, 0.2 * draws[1] - 0.1, 2 * math.pi * draws[2])
     more_tilt, more_height = GEOMETRIES.get(name, (0.0, 0.0))
     nominal = sonar_for(tilt)

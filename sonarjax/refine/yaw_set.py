@@ -69,7 +69,7 @@ class YawWeights(NamedTuple):
 
 
 YAW_WEIGHTS = YawWeights(softness=0.01, slope=1.0, unrefined=0.0, tail=0.0, tail_scale=2.0)
-"""Fitted to validation frames, whose devices and objects occur in no test (experiments/fit_yaw_set.py)."""
+"""Fitted to drawn frames of seven objects, by devices that occur in no test (experiments/fit_yaw_set.py)."""
 
 
 def shares(scores: np.ndarray, softness: float) -> np.ndarray:
