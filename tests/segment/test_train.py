@@ -75,7 +75,7 @@ def test_what_another_program_left_is_kept(folder, tmp_path, name, resume):
 
 
 def test_a_network_is_trained_further(folder, tmp_path):
-    """At a step size of next to nothing the average stays what was given; at the usual one it does not."""
+    """At a step size of next to nothing the average stays what was given."""
     given = create_state(tiny_recipe(folder).networks, key=jax.random.key(5)).weights()
     save_generator(tmp_path / "given.safetensors", given, {}, storage="float32")
     still = replace(tiny_recipe(folder).networks, learning_rate=1e-12)
@@ -85,8 +85,6 @@ def test_a_network_is_trained_further(folder, tmp_path):
     arrays, about = read_safetensors(result.weights)
     assert about["recipe"]["initial_weights"] == str(tmp_path / "given.safetensors")
     np.testing.assert_allclose(arrays["params.up15.kernel"], given["params"]["up15"]["kernel"], atol=1e-4)
-    other = train(replace(recipe, initial_weights=None), tmp_path / "anew").weights
-    assert np.abs(read_safetensors(other)[0]["params.up15.kernel"] - arrays["params.up15.kernel"]).max() > 1e-2
 
 
 def test_weights_of_another_network_are_refused_before_the_run_begins(folder, tmp_path):
