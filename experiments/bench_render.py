@@ -31,6 +31,7 @@ from sonarjax.sonar import Sonar
 X_M = 2.3  # where the object stands
 SAME_SURFACE_BINS = 8  # neighbouring rays whose ranges differ by less belong to one surface: bins between are filled
 OURS, TURNED, REBUILT = "sonarjax", "Embree, rays turned", "Embree, scene rebuilt"
+IN_BOX = "Embree, template's box only"
 SMOKE = {"views": 12, "big_views": 2, "triangles": (100, 1_000), "repeats": 3, "peer": has("open3d")}
 
 
@@ -160,7 +161,7 @@ def compare(mesh: Mesh, sonar: Sonar, views: int, settings: Settings, variants: 
             row, column = np.asarray(bank.offset).tolist()
             part = Embree(mesh, sonar, settings.elevations, (row, column, *bank.templates.shape[1:]))
             functions[REBUILT] = lambda: frame.rebuilt_scene(X_M, yaws)
-            functions["Embree, template's box only"] = lambda: part.turned_rays(X_M, yaws)
+            functions[IN_BOX] = lambda: part.turned_rays(X_M, yaws)
     seconds, results = time_all(functions, settings.repeats)
     return {
         "triangles": int((np.asarray(mesh.faces)[:, 0] != np.asarray(mesh.faces)[:, 1]).sum()),
