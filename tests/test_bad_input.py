@@ -211,6 +211,7 @@ CASES = {
     "find_recipe(replace(smoke, mirrored=np.array(0.5)))": "recipe: mirrored: expected a share from 0 to 1, got a",
     "find_recipe(replace(smoke, networks={}))": "recipe: networks: expected a GanConfig, got a dict",
     "find_recipe(replace(smoke, pair_settings=None))": "recipe: pair_settings: expected a PairSettings, got None",
+    "find_recipe(replace(smoke, pair_settings=PairSettings(varied=1)))": "recipe: pair_settings.varied: expected True ",
     "find_recipe(replace(smoke, pair_settings=PairSettings(tank=0)))": "recipe: pair_settings.tank: expected True or ",
     "networks(skips=1)": "recipe: networks.skips: expected True or False, got 1",
     "networks(beta1=jax.numpy.float32(0.5))": "recipe: networks.beta1: expected a number from 0 to below 1, got a",

@@ -15,10 +15,10 @@ def add(commands: Any) -> None:
     command = commands.add_parser("train", help="train the pix2pix segmenter on simulated pairs")
     command.set_defaults(run=run)
     command.add_argument(
-        "--preset", choices=("smoke", "cpu", "paper-cpu", "paper", "gpu"), required=True,
+        "--preset", choices=("smoke", "cpu", "paper-cpu", "paper", "gpu", "further"), required=True,
         help="smoke: a short test run; cpu: the recipe of the shipped weights, shorter; paper-cpu: the paper's recipe "
         "(eq. 3 alone, 30 epochs) at width 16; paper: the same at full width, for a GPU; gpu: the recipe of the "
-        "shipped weights",
+        "shipped weights; further: with --weights, on more varied objects",
     )  # fmt: skip
     command.add_argument(
         "--run-dir", metavar="RUN", required=True,

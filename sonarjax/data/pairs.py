@@ -24,6 +24,7 @@ from sonarjax.data.objects import draw_shape
 from sonarjax.data.scenes import render_scenes
 from sonarjax.data.shapes import N_FACES, remove_walls, shape_mesh
 from sonarjax.data.tank_views import draw_tank_view
+from sonarjax.data.variations import vary, without_floor
 from sonarjax.data.views import draw_view
 from sonarjax.engine import PLAIN, Engine
 from sonarjax.exact import full_precision
@@ -67,6 +68,8 @@ class PairSettings:
     """Share of pairs [1] whose image was resampled after it was stored, and so smoothed, as fan pictures are."""
     tank: bool = False
     """Use only views of §3.1 (`draw_tank_view`), instead of any sonar at any place (`draw_view`)."""
+    varied: bool = False
+    """Turn some objects into chains and frames of bars, let some hang, and make some large or pale (`vary`)."""
 
     def __post_init__(self) -> None:
         """Raise a SonarjaxError for settings that no pair can have."""
@@ -180,6 +183,11 @@ def draw_pair(settings: PairSettings, *, key: Array) -> Pairs:
     shape = draw_shape(key=shape_key)
     draw = draw_tank_view if settings.tank else draw_view
     view = draw(settings.n_ranges, settings.n_beams, key=view_key)
+    level: Array | float = 1.0
+    if settings.varied:
+        shape, variation = vary(shape, key=fold_in(shape_key, 1))
+        level = variation.reflectivity
+        view = view._replace(sonar=without_floor(view.sonar, variation.no_floor & ~view.has_walls))
     mesh = shape_mesh(shape.kind, view.pose.to_ground(shape.vertices), view.walls)
     low, high = settings.severity
     severity = jax.random.uniform(severity_key, minval=low, maxval=high)
@@ -187,7 +195,10 @@ def draw_pair(settings: PairSettings, *, key: Array) -> Pairs:
     device = SensorModel.draw(key=model_key, severity=severity)
     model = jax.tree.map(partial(jnp.where, odd), SensorModel.draw_wide(key=model_key, severity=severity), device)
     painted = draw_reflectivity(mesh, view.sonar.height, N_FACES, key=fold_in(odd_key, 1))
-    mesh = replace(mesh, reflectivity=jnp.where(odd, painted, 1.0))
+    painted = jnp.where(odd, painted, 1.0)
+    if settings.varied:
+        painted = jnp.where(jnp.arange(len(painted)) < N_FACES, level, 1.0) * painted
+    mesh = replace(mesh, reflectivity=painted)
     quality = RenderQuality(settings.sub_beams, settings.elevations)
     alone, seen = render_scenes(mesh, view, quality)
     echoes = render_bounces(remove_walls(mesh), Pose(), view.sonar, model, quality=quality)

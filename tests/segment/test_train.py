@@ -245,13 +245,14 @@ def test_recipes_that_cannot_be_followed(tmp_path, changes, complaint):
 
 
 def test_presets(tmp_path):
-    assert set(PRESETS) == {"smoke", "cpu", "paper-cpu", "paper", "gpu"} and find_recipe("paper").pairs == 6780
+    assert set(PRESETS) == {"smoke", "cpu", "paper-cpu", "paper", "gpu", "further"}
+    assert find_recipe("paper").pairs == 6780 and find_recipe("further").pair_settings.varied
     assert find_recipe("paper").epochs == 30 and find_recipe("paper").networks.width == 64
     for name, recipe in PRESETS.items():
         assert recipe.name == name and recipe.networks.beta1 == 0.5
         assert recipe.networks.learning_rate == (4e-4 if name == "gpu" else 2e-4)
         assert discriminative(recipe).checked().networks.head == "classes"
-    with pytest.raises(SonarjaxError, match="smoke, cpu, paper-cpu, paper, gpu"):
+    with pytest.raises(SonarjaxError, match="smoke, cpu, paper-cpu, paper, gpu, further"):
         train("huge", tmp_path)
 
 
@@ -264,7 +265,7 @@ def test_step_size_falls_along_half_a_cosine():
         update, state = optimiser.update(jnp.ones(()), state, value)
         moved.append(-float(update))
     np.testing.assert_allclose(moved, 0.05 * (1 + np.cos(np.pi * np.arange(5) / 4)), atol=1e-6)
-    assert find_recipe("gpu").networks.decay_steps == find_recipe("gpu").steps
+    assert all(find_recipe(name).networks.decay_steps == find_recipe(name).steps for name in ("gpu", "further"))
 
 
 def test_folder_must_be_there_and_hold_enough_before_the_run_begins(folder, tmp_path):
