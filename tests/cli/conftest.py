@@ -66,10 +66,11 @@ def rendered(place) -> Path:
 def stand_in(monkeypatch) -> SimpleNamespace:
     """Stand-ins for the slow modules behind `segment` and `recognize`: they note calls.
 
-    `interrupt` stops at the call of that number, `failures` (number of a call -> exception) fails in it.
+    `failures` (number of a call -> exception) fails in that call. Frames are recognized at the same time, in any order:
+    `unmasked` is the exception for those without a mask.
     `yaw_std` [rad] is what is found; `threshold` and `rule` are the segmenter's.
     """
-    state = SimpleNamespace(calls=[], interrupt=None, failures={}, yaw_std=float("nan"), threshold=0.0, rule=None)
+    state = SimpleNamespace(calls=[], failures={}, unmasked=None, yaw_std=float("nan"), threshold=0.0, rule=None)
 
     def note(call):
         state.calls.append(call)
@@ -83,8 +84,8 @@ def stand_in(monkeypatch) -> SimpleNamespace:
 
         def __call__(self, image, mask=None, *, semantic=None, threshold=None, starts=()):
             note(self.options | {"mask": mask, "threshold": threshold})
-            if len(state.calls) == state.interrupt:
-                raise KeyboardInterrupt
+            if mask is None and state.unmasked is not None:
+                raise state.unmasked
             if image.shape != self.sonar.shape:
                 raise SonarjaxError(f"image: expected the sonar's shape {self.sonar.shape}, got {image.shape}")
             return found(float(image.mean()), state.yaw_std)

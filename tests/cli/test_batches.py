@@ -168,7 +168,7 @@ def test_a_damaged_frame_of_a_bag_has_its_own_name(tmp_path):
 
 
 def test_an_interrupt_keeps_what_is_written(recognize, stand_in, place, tmp_path):
-    stand_in.interrupt = 2
+    stand_in.unmasked = KeyboardInterrupt()
     code, err, records = recognize([place / "a.npz", place / "b.npy", place / "a.npz"], tmp_path / "r.jsonl")
     assert (code, err) == (130, "sonarjax: interrupted\n")
     assert len(records) == 1
@@ -186,7 +186,7 @@ FAILURES = [
 
 @pytest.mark.parametrize(("failure", "said"), FAILURES, ids=[said.split(":")[0] for _, said in FAILURES])
 def test_any_failure_of_one_frame_is_its_error_line(recognize, stand_in, place, tmp_path, failure, said):
-    stand_in.failures = {2: failure}
+    stand_in.unmasked = failure
     frames = [str(place / name) for name in ("a.npz", "b.npy", "a.npz")]
     code, err, records = recognize(frames, tmp_path / "r.jsonl")
     assert code == 1
@@ -206,11 +206,12 @@ def test_segment_goes_on_after_any_failure(command, stand_in, place, tmp_path, f
 @pytest.mark.parametrize(("failure", "expected"), [(KeyboardInterrupt(), 130), (BrokenPipeError(), 141)])
 def test_what_still_stops_a_batch(recognize, command, stand_in, place, tmp_path, monkeypatch, failure, expected):
     monkeypatch.setattr("sonarjax.cli.silence_stdout", lambda: None)
-    stand_in.failures = {2: failure}
+    stand_in.unmasked = failure
     frames = [place / "a.npz", place / "b.npy", place / "a.npz"]
     code, _, records = recognize(frames, tmp_path / "r.jsonl")
     assert (code, len(records)) == (expected, 1)
     stand_in.calls.clear()
+    stand_in.failures = {2: failure}
     assert command("segment", *frames, "--out-dir", tmp_path / "labels")[0] == expected
     assert os.listdir(tmp_path / "labels") == ["labels_a.npz"]
 
