@@ -166,13 +166,18 @@ def test_an_interruption_before_the_first_part_is_one(tmp_path: Path):
     assert measured == [4, 5, 5]
 
 
-def test_a_reader_that_has_gone_and_a_folder_that_is_a_file_are_no_tracebacks(tmp_path: Path):
+def test_a_reader_that_has_gone_and_a_folder_that_is_a_file_are_no_tracebacks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    silenced: list[bool] = []
+    monkeypatch.setattr("experiments.common.launch.silence_stdout", lambda: silenced.append(True))  # else pytest's own
+
     def broken(report: dict[str, Any]) -> str:
         raise BrokenPipeError
 
     with pytest.raises(SystemExit) as left:
         launch(run, Options, broken, smoke={"count": 1}, arguments=("--runs", str(tmp_path)))
-    assert left.value.code == 141
+    assert left.value.code == 141 and silenced
     (tmp_path / "file").touch()
     with pytest.raises(SystemExit, match="cannot be used as a folder"):
         start(tmp_path / "file")

@@ -18,8 +18,7 @@ def open_closed_streams() -> None:
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         if getattr(sys, name) is None:
             nowhere = os.open(os.devnull, os.O_RDWR)  # the lowest free number, which is most often the stream's own
-            with contextlib.suppress(OSError):
-                os.set_inheritable(nowhere, nowhere == number)
+            os.set_inheritable(nowhere, nowhere == number)  # else programs that this one starts have the same trouble
             setattr(sys, name, open(nowhere, "r" if number == 0 else "w", encoding="utf-8", closefd=False))  # noqa: SIM115
 
 

@@ -84,7 +84,7 @@ def fan_to_polar(
     parts = (1, 1) if order == 0 else _parts_of_cell(geometry, *edges)
     measured = _measured(mask, picture.shape)
     inside = measured & _inside(geometry, picture.shape)
-    cells = _Cells(_middles(range_edges, 1)[0], range_edges), _Cells(azimuth, edges[1])
+    cells = _cells(azimuth, edges)
     image, seen = _sample(picture, inside, _places_in_picture(geometry, cells, parts), (bins, beams), order)
     if mask is not None:
         seen &= _at_centres(measured, _places_in_picture(geometry, cells, (1, 1)))
@@ -130,7 +130,7 @@ def polar_to_fan(
     measured = _measured(mask, image.shape)
     edges = range_edges, _beam_edges(azimuth, geometry.opening)
     parts = (1, 1) if order == 0 else _parts_of_pixel(geometry, *edges)
-    cells = _Cells(_middles(range_edges, 1)[0], range_edges), _Cells(azimuth, edges[1])
+    cells = _cells(azimuth, edges)
     picture, seen = _sample(image, measured, _places_in_image(geometry, shape, cells, parts), (rows, columns), order)
     seen &= _covered(*geometry.places(*_centres(shape)), edges)
     if mask is not None:
@@ -220,6 +220,11 @@ class _Cells(NamedTuple):
         known = np.empty(2 * self.centres.size + 1)
         known[::2], known[1::2] = self.edges, self.centres
         return np.interp(values, known, np.arange(known.size) / 2 - 0.5)
+
+
+def _cells(azimuth: np.ndarray, edges: tuple[np.ndarray, np.ndarray]) -> tuple[_Cells, _Cells]:
+    """Range bins, and beams with their centres (beam,) [rad], between `edges` [m, rad]."""
+    return _Cells(_middles(edges[0], 1)[0], edges[0]), _Cells(azimuth, edges[1])
 
 
 def _places_in_picture(geometry: FanGeometry, cells: tuple[_Cells, _Cells], parts: tuple[int, int]) -> Places:

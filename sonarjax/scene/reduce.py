@@ -98,8 +98,7 @@ def reduce_mesh(mesh: Mesh, tolerance: float) -> Reduction:
     check_kind(mesh, Mesh, "mesh")
     if not (is_number(tolerance) and 0 < tolerance < math.inf):
         raise SonarjaxError(f"tolerance: expected a positive number of metres, got {shown(tolerance)}")
-    if mesh.vertices.ndim != 2:
-        raise SonarjaxError(f"reduce_mesh: expected one mesh, got a batch of shape {mesh.vertices.shape[:-2]}")
+    _check_single(mesh, "reduce_mesh")
     if mesh.reflectivity is not None:
         raise SonarjaxError("reduce_mesh: expected a mesh without reflectivity: reduce it first, then set it")
     full = real_arrays(mesh)
@@ -150,9 +149,14 @@ def surface_distance(first: Mesh, second: Mesh) -> SurfaceDistance:
     """
     for name, mesh in (("first", first), ("second", second)):
         check_kind(mesh, Mesh, name)
-        if mesh.vertices.ndim != 2:
-            raise SonarjaxError(f"{name}: expected one mesh, got a batch of shape {mesh.vertices.shape[:-2]}")
+        _check_single(mesh, name)
     return _Surface(*real_arrays(first)).distance(_Surface(*real_arrays(second)))
+
+
+def _check_single(mesh: Mesh, name: str) -> None:
+    """Raise a SonarjaxError, which begins with `name`, for a batch of meshes."""
+    if mesh.vertices.ndim != 2:
+        raise SonarjaxError(f"{name}: expected one mesh, got a batch of shape {mesh.vertices.shape[:-2]}")
 
 
 def real_arrays(mesh: Mesh) -> tuple[Float[np.ndarray, "vertex 3"], Int[np.ndarray, "face 3"]]:
